@@ -1,0 +1,139 @@
+"""A pinhole camera with OpenCV axes (x right, y down, z forward)."""
+
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from .errors import SceneFormatError
+
+DEFAULT_EXPOSURE_S = 0.004
+"""Daylight shutter of driving cameras: 2.6-3.9 ms in a Waymo sample frame, rounded up."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """Intrinsics in pixels, pose as world to camera. Pixel (0, 0) has its centre at (0.5, 0.5)."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    world_to_camera: Float64[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
+    exposure_s: float = DEFAULT_EXPOSURE_S
+
+    @classmethod
+    def from_fov(
+        cls, width: int, height: int, vertical_fov_deg: float, world_to_camera: Float64[np.ndarray, "4 4"]
+    ) -> Self:
+        """Build a camera with square pixels and its principal point in the middle."""
+        f = 0.5 * height / np.tan(np.radians(vertical_fov_deg) / 2)
+        return cls(width, height, float(f), float(f), width / 2, height / 2, world_to_camera)
+
+    @property
+    def camera_to_world(self) -> Float64[np.ndarray, "4 4"]:
+        """Pose of the camera in the world."""
+        rotation = self.world_to_camera[:3, :3].T
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation
+        matrix[:3, 3] = -rotation @ self.world_to_camera[:3, 3]
+        return matrix
+
+    @property
+    def position(self) -> Float64[np.ndarray, "3"]:
+        """Centre of projection in the world."""
+        return self.camera_to_world[:3, 3]
+
+    @property
+    def vertical_fov_deg(self) -> float:
+        """Angle from the top edge to the bottom edge."""
+        return float(np.degrees(np.arctan(self.cy / self.fy) + np.arctan((self.height - self.cy) / self.fy)))
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """Show the same vertical field of view in another image size; the sides gain or lose, nothing is stretched."""
+        s = height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * s,
+            fy=self.fy * s,
+            cx=width / 2 + (self.cx - self.width / 2) * s,
+            cy=self.cy * s,
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the plain values of a camera file."""
+        return {
+            "width": self.width,
+            "height": self.height,
+            "fx": self.fx,
+            "fy": self.fy,
+            "cx": self.cx,
+            "cy": self.cy,
+            "world_to_camera": self.world_to_camera.tolist(),
+        }
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any], source: Path | str = "camera") -> Self:
+        """Build a camera from the values of a camera file; `source` names it in errors."""
+        try:
+            matrix = np.array(values["world_to_camera"], dtype=np.float64)
+            camera = cls(
+                int(values["width"]),
+                int(values["height"]),
+                *(float(values[key]) for key in ("fx", "fy", "cx", "cy")),
+                matrix,
+                float(values.get("exposure_s", DEFAULT_EXPOSURE_S)),
+            )
+        except KeyError as error:
+            raise SceneFormatError(source, f"camera has no field {error.args[0]!r}") from None
+        except (TypeError, ValueError) as error:
+            raise SceneFormatError(source, f"camera field can't be read as a number: {error}") from None
+        camera._check(source)
+        return camera
+
+    def _check(self, source: Path | str) -> None:
+        rotation = self.world_to_camera[:3, :3]
+        if self.world_to_camera.shape != (4, 4) or not np.isfinite(self.world_to_camera).all():
+            raise SceneFormatError(source, "world_to_camera must be a finite 4x4 matrix")
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
+            raise SceneFormatError(source, "world_to_camera must hold a rotation without scale or mirroring")
+        if not (1 <= self.width <= 16384 and 1 <= self.height <= 16384):
+            raise SceneFormatError(source, f"size {self.width}x{self.height} must be within 1..16384 px")
+        if not all(np.isfinite(v) for v in (self.fx, self.fy, self.cx, self.cy)) or self.fx <= 0 or self.fy <= 0:
+            raise SceneFormatError(source, "fx, fy must be above 0 and fx, fy, cx, cy finite")
+        if not 0 < self.exposure_s <= 10:
+            raise SceneFormatError(source, f"exposure_s {self.exposure_s} must be above 0 and at most 10 s")
+
+
+def look_at(
+    eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]
+) -> Float64[np.ndarray, "4 4"]:
+    """World-to-camera matrix of an eye that looks at `target` with `up` upwards in the image."""
+    forward = np.asarray(target, np.float64) - eye
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, up)
+    if np.linalg.norm(right) < 1e-9:  # looking along `up`: any right will do
+        right = np.cross(forward, np.roll(up, 1))
+    right /= np.linalg.norm(right)
+    matrix = np.eye(4)
+    matrix[:3, :3] = right, np.cross(forward, right), forward
+    matrix[:3, 3] = -matrix[:3, :3] @ eye
+    return matrix
+
+
+def read_camera(path: Path | str) -> Camera:
+    """Read a camera file (JSON: width, height, fx, fy, cx, cy, world_to_camera)."""
+    try:
+        values = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise SceneFormatError(path, f"not a JSON file: {error}") from None
+    if not isinstance(values, dict):
+        raise SceneFormatError(path, "a camera file holds one JSON object")
+    return Camera.from_json(values, path)
