@@ -1,0 +1,1 @@
+"""OpenGL: contexts, the splat pipeline, frames, pictures and video."""

@@ -1,0 +1,256 @@
+"""Draws Gaussians with OpenGL: project each once, sort by depth, blend instanced quads from back to front."""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import moderngl
+import numpy as np
+from jaxtyping import Float32, Float64, UInt32
+
+from gsrain_engine.rain.rain_gaussians import RainGaussians
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.scene import Part
+
+from .frame import Frame
+from .gpu_arrays import CHUNK, GpuArrays
+from .shaders import load_compute_shader, load_program
+
+NEAR_M = 0.2
+"""Gaussians whose centre is nearer than this are left out, as in the reference rasterizer."""
+
+_SPLAT_BYTES = 48
+_CULLED = np.uint32(0xFFFFFFFF)
+_SPLATS, _DEPTHS, _ORDER = 4, 5, 6  # storage bindings after the four of the Gaussians
+
+
+@dataclass(slots=True)
+class RenderStatistics:
+    """What the last frame was made of."""
+
+    gaussians: int = 0
+    splats_drawn: int = 0
+    stages_ms: dict[str, float] = field(default_factory=dict[str, float])
+    """Wall time a stage: project, sort, draw (GPU work included, since each stage waits for its result)."""
+
+
+class SplatRenderer:
+    """Renders scene and rain into one picture in the current OpenGL context.
+
+    Call it on the thread and inside the context that it was made with.
+    """
+
+    def __init__(self, context: moderngl.Context, precision: Literal["half", "single"] = "single") -> None:
+        self.context = context
+        self.statistics = RenderStatistics()
+        self.arrays = GpuArrays(context)
+        self._dtype = "f2" if precision == "half" else "f4"
+        self._project = load_compute_shader(context, "splat_project.comp")
+        self._programs: dict[tuple[str, ...], moderngl.Program] = {}
+        self._vertices: dict[tuple[str, ...], moderngl.VertexArray] = {}
+        self._storage: dict[int, moderngl.Buffer] = {}
+        self._targets: dict[str, _Target] = {}
+        self._depth_drawn = False
+
+    @property
+    def picture(self) -> moderngl.Texture:
+        """The last picture: premultiplied display colour, first row on top."""
+        return self._targets["picture"].color
+
+    def draw(
+        self,
+        parts: Sequence[Part],
+        camera: Camera,
+        rain: RainGaussians | None = None,
+        *,
+        with_depth: bool = False,
+    ) -> None:
+        """Draw parts and rain as one depth-ordered compositing; the result is `picture`, and `read()` fetches it.
+
+        `camera` is in the world (metres). Depth is the scene's own: rain takes no part in it.
+        """
+        self.statistics = RenderStatistics(stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0})
+        drops = rain.gaussians if rain is not None and len(rain.gaussians) else None
+        scene_count = sum(len(part.gaussians) for part in parts)
+        total = scene_count + (len(drops) if drops is not None else 0)
+        self.statistics.gaussians = total
+        self._reserve(total)
+
+        with self._timed("project"):
+            first = 0
+            for part in parts:
+                self._dispatch(part.gaussians, part.to_world, camera, first, is_rain=False)
+                first += len(part.gaussians)
+            if drops is not None:
+                self._dispatch(drops, np.eye(4), camera, first, is_rain=True)
+            self.context.memory_barrier()
+            keys = np.frombuffer(self._storage[_DEPTHS].read(4 * total), np.uint32)
+        with self._timed("sort"):
+            order = back_to_front(keys)
+            scene_only = order
+            if drops is not None and (with_depth or (rain is not None and rain.mixing == "linear")):
+                scene_only = order[order < scene_count]
+        with self._timed("draw"):
+            if drops is None or rain is None:
+                self._blend("picture", order, camera, with_depth=with_depth)
+            else:
+                light = rain.light_linear if rain.mixing == "linear" else None
+                if light is not None or with_depth:
+                    self._blend("clear", scene_only, camera, with_depth=with_depth)
+                self._blend("picture", order, camera, rain_light=light)
+            self.context.finish()
+        self.statistics.splats_drawn = len(order)
+        self._depth_drawn = with_depth
+        self._depth_target = "picture" if drops is None else "clear"
+        self.arrays.release_unused()
+
+    def read(self) -> Frame:
+        """Fetch the last picture (and depth, if it was drawn) from the GPU."""
+        target = self._targets["picture"]
+        width, height = target.color.size
+        rgba = np.frombuffer(target.color.read(), np.dtype(self._dtype).newbyteorder("="))
+        rgba = rgba.reshape(height, width, 4).astype(np.float32)
+        if not self._depth_drawn:
+            return Frame(rgba)
+        depth_target = self._targets[self._depth_target]
+        assert depth_target.depth is not None
+        weighted = np.frombuffer(depth_target.depth.read(), np.float32).reshape(height, width)
+        alpha = np.frombuffer(depth_target.color.read(), np.dtype(self._dtype)).reshape(height, width, 4)[..., 3]
+        safe = np.maximum(alpha.astype(np.float32), np.float32(1e-6))
+        return Frame(rgba, np.where(alpha > 0.5, weighted / safe, np.float32(0)))
+
+    def upload(self, gaussians: Gaussians, slice_size: int = CHUNK // 16) -> Iterator[float]:
+        """Bring Gaussians to the GPU ahead of their first frame, a slice at each step."""
+        return self.arrays.upload(gaussians, slice_size)
+
+    def _timed(self, stage: str) -> "_Stopwatch":
+        return _Stopwatch(self.statistics.stages_ms, stage)
+
+    def _reserve(self, count: int) -> None:
+        limit = self.context.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
+        if _SPLAT_BYTES * count > limit:
+            raise MemoryError(
+                f"{count} Gaussians need a storage block of {_SPLAT_BYTES * count >> 20} MiB; "
+                f"this OpenGL driver allows {limit >> 20} MiB"
+            )
+        for binding, size in ((_SPLATS, _SPLAT_BYTES), (_DEPTHS, 4), (_ORDER, 4)):
+            held = self._storage.get(binding)
+            if held is None or held.size < size * count:
+                if held is not None:
+                    held.release()
+                self._storage[binding] = self.context.buffer(reserve=max(1, size * (count + count // 8)))
+
+    def _dispatch(
+        self, gaussians: Gaussians, to_world: Float64[np.ndarray, "4 4"], camera: Camera, first: int, *, is_rain: bool
+    ) -> None:
+        object_to_camera = camera.world_to_camera @ to_world
+        uniforms = {
+            "coefficients": gaussians.sh.shape[1],
+            "object_to_camera": tuple(object_to_camera.T.ravel()),
+            "camera_in_object": tuple(np.linalg.inv(object_to_camera)[:3, 3]),
+            "intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy),
+            "image_size": (camera.width, camera.height),
+            "near": NEAR_M,
+            "is_rain": is_rain,
+        }
+        for name, value in uniforms.items():
+            self._project[name] = value
+        for binding in (_SPLATS, _DEPTHS):
+            self._storage[binding].bind_to_storage_buffer(binding)
+        for index, chunk in enumerate(self.arrays.buffers(gaussians).chunks()):
+            for binding, buffer in enumerate(chunk):
+                buffer.bind_to_storage_buffer(binding)
+            count = min(CHUNK, len(gaussians) - index * CHUNK)
+            self._project["count"] = count
+            self._project["first_splat"] = first + index * CHUNK
+            self._project.run(-(-count // 256))
+
+    def _blend(
+        self,
+        name: str,
+        order: UInt32[np.ndarray, " m"],
+        camera: Camera,
+        *,
+        with_depth: bool = False,
+        rain_light: Float32[np.ndarray, "3"] | None = None,
+    ) -> None:
+        target = self._target(name, (camera.width, camera.height), with_depth)
+        switches = ("WITH_DEPTH",) * with_depth + ("LINEAR_RAIN",) * (rain_light is not None)
+        program, vertices = self._program(switches)
+        program["image_size"] = (camera.width, camera.height)
+        if rain_light is not None:
+            program["rain_light"] = tuple(rain_light)
+            self._targets["clear"].color.use(0)
+            program["clear_scene"] = 0
+        before = self.context.detect_framebuffer()
+        target.framebuffer.use()
+        target.framebuffer.clear()
+        if len(order):
+            self._storage[_ORDER].write(order)
+            self._storage[_SPLATS].bind_to_storage_buffer(_SPLATS)
+            self._storage[_ORDER].bind_to_storage_buffer(_ORDER)
+            self.context.enable_only(moderngl.BLEND)
+            self.context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
+            vertices.render(moderngl.TRIANGLE_STRIP, vertices=4, instances=len(order))
+            self.context.enable_only(moderngl.NOTHING)
+        before.use()
+
+    def _program(self, switches: tuple[str, ...]) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        if switches not in self._programs:
+            self._programs[switches] = load_program(self.context, "splat.vert", "splat.frag", switches=switches)
+            self._vertices[switches] = self.context.vertex_array(self._programs[switches], [])
+        return self._programs[switches], self._vertices[switches]
+
+    def _target(self, name: str, size: tuple[int, int], with_depth: bool) -> "_Target":
+        held = self._targets.get(name)
+        if held is None or held.color.size != size or (held.depth is None) == with_depth:
+            if held is not None:
+                held.release()
+            color = self.context.texture(size, 4, dtype=self._dtype)
+            color.filter = moderngl.LINEAR, moderngl.LINEAR
+            depth = self.context.texture(size, 1, dtype="f4") if with_depth else None
+            attachments = [color] if depth is None else [color, depth]
+            self._targets[name] = _Target(color, depth, self.context.framebuffer(attachments))
+        return self._targets[name]
+
+
+@dataclass(slots=True)
+class _Target:
+    """Textures that are drawn into."""
+
+    color: moderngl.Texture
+    depth: moderngl.Texture | None
+    framebuffer: moderngl.Framebuffer
+
+    def release(self) -> None:
+        self.framebuffer.release()
+        self.color.release()
+        if self.depth is not None:
+            self.depth.release()
+
+
+class _Stopwatch:
+    """Adds the wall time of a `with` block to a stage."""
+
+    def __init__(self, stages: dict[str, float], stage: str) -> None:
+        self._stages, self._stage = stages, stage
+
+    def __enter__(self) -> None:
+        self._start = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self._stages[self._stage] += 1000 * (time.perf_counter() - self._start)
+
+
+def back_to_front(depth_keys: UInt32[np.ndarray, " n"]) -> UInt32[np.ndarray, " m"]:
+    """Indices of the Gaussians that are drawn, farthest first; of equal depths the lowest index is nearest.
+
+    A depth key holds the bits of a positive float32, which sort like the number itself.
+    """
+    visible = np.flatnonzero(depth_keys != _CULLED)
+    # One 64-bit number a splat, depth above index: no two are equal, so any fast sort is a stable one.
+    pairs = (depth_keys[visible].astype(np.uint64) << np.uint64(32)) | visible.astype(np.uint64)
+    pairs.sort()
+    return (pairs[::-1] & np.uint64(0xFFFFFFFF)).astype(np.uint32)
