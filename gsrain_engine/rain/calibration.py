@@ -1,0 +1,79 @@
+"""A rain calibration: drop number and size over the rainfall intensity, and fall speed over the diameter."""
+
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+from msgspec import Meta
+
+Positive = Annotated[float, Meta(gt=0)]
+
+
+class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Drops at one intensity: number density and the gamma law of their diameters (paper, table III, eq. 8)."""
+
+    intensity_mm_h: Positive
+    density_m3: Positive
+    shape: Positive
+    scale_mm: Positive
+
+
+class VelocityFit(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Fall speed in m/s as a quadratic of the diameter in mm: highest power first (paper, eq. 9)."""
+
+    coefficients: tuple[float, float, float]
+    r2: float | None = None
+
+    def __call__(self, diameter_mm: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Evaluate up to the vertex; constant beyond it, since no drop falls slower for being larger."""
+        a, b, c = self.coefficients
+        d = np.minimum(diameter_mm, -b / (2 * a)) if a < 0 else np.asarray(diameter_mm)
+        return (a * d + b) * d + c
+
+
+class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What a disdrometer says about rain: a YAML file."""
+
+    name: str
+    source: str
+    rows: Annotated[tuple[CalibrationRow, ...], Meta(min_length=2)]
+    velocity: VelocityFit
+
+    def __post_init__(self) -> None:
+        intensities = [row.intensity_mm_h for row in self.rows]
+        if any(later <= earlier for earlier, later in zip(intensities, intensities[1:], strict=False)):
+            raise ValueError(f"rows must have rising intensity_mm_h, got {intensities}")
+
+
+def atlas_velocity(diameter_mm: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Fall speed in m/s after Atlas, Srivastava and Sekhon (1973): 9.65 - 10.3 exp(-0.6 D), at least 0."""
+    return np.maximum(9.65 - 10.3 * np.exp(-0.6 * np.asarray(diameter_mm)), 0)
+
+
+def load_calibration(name: str) -> Calibration:
+    """Load a shipped calibration by name, or a calibration file by path.
+
+    Raises `ValueError` with the file, the field and the allowed range.
+    """
+    shipped = resources.files("sample_configs").joinpath("calibrations", f"{name}.yaml")
+    if shipped.is_file():
+        data, where = shipped.read_bytes(), f"calibration {name}"
+    else:
+        path = Path(name)
+        if not path.is_file():
+            known = ", ".join(calibration_names())
+            raise ValueError(f"calibration {name!r}: no such file, and none of the shipped ones ({known})")
+        data, where = path.read_bytes(), str(path)
+    try:
+        return msgspec.yaml.decode(data, type=Calibration)
+    except msgspec.MsgspecError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def calibration_names() -> list[str]:
+    """Names of the shipped calibrations."""
+    folder = resources.files("sample_configs").joinpath("calibrations")
+    return sorted(file.name.removesuffix(".yaml") for file in folder.iterdir() if file.name.endswith(".yaml"))

@@ -1,0 +1,89 @@
+"""Far drops as haze: few, large, faint Gaussians that take from a ray what the drops themselves would take."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Float64, UInt32
+
+from .rain import Rain
+from .random_bits import pcg4d
+
+LIFETIME_S, FADE_S = 4.0, 1.0
+"""A haze Gaussian comes, stays and goes within 4 s; smoothstep fades of 1 s at both ends."""
+
+RAMP_M = (3.0, 5.0)
+"""Between these distances from the camera haze fades in: nearer is the streaks' part."""
+
+_SALT = 0x68617A65  # keeps haze apart from drops of the same seed
+_FADE_MEAN = (LIFETIME_S - FADE_S) / LIFETIME_S  # a smoothstep has mean 1/2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Haze:
+    """Haze Gaussians in the world: isotropic, so a position and an opacity each."""
+
+    means: Float32[np.ndarray, "n 3"]
+    opacities: Float32[np.ndarray, " n"]
+
+
+def make_haze(
+    rain: Rain,
+    count: int,
+    time_s: float,
+    anchor_to_world: Float64[np.ndarray, "4 4"],
+    camera_position: Float64[np.ndarray, "3"],
+) -> Haze:
+    """Place the haze of a moment; `count` is M, the number within the haze region at full opacity."""
+    if rain.haze_reset == "paper":
+        positions, fade = _jumping(rain, count, time_s, anchor_to_world)
+    else:
+        positions, fade = _fading(rain, count, time_s, anchor_to_world)
+    ramp = _smoothstep((np.linalg.norm(positions - camera_position, axis=1) - RAMP_M[0]) / (RAMP_M[1] - RAMP_M[0]))
+    opacity = rain.haze_opacity * fade * ramp
+    kept = opacity > 0
+    return Haze(positions[kept].astype(np.float32), opacity[kept].astype(np.float32))
+
+
+def _fading(
+    rain: Rain, count: int, time_s: float, anchor_to_world: Float64[np.ndarray, "4 4"]
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
+    """World-fixed Gaussians on a lattice around the region: each lives its life at one place, then is born elsewhere."""
+    size = np.array(rain.haze_region.size_m) + 6 * rain.haze_sigma_m  # 3 sigma beyond each face
+    horizontal = np.hypot(size[0], size[1])  # covers the region at any yaw
+    period = np.array([horizontal, horizontal, size[2]])
+    density = count / rain.haze_region.volume_m3 / _FADE_MEAN
+    index = np.arange(round(density * np.prod(period)), dtype=np.uint32)
+    phase = _hash(rain.seed, index, np.zeros_like(index))[3] * 2.0**-32
+    age = time_s / LIFETIME_S + phase
+    life = np.floor(age)
+    birthplace = np.stack(_hash(rain.seed, index, (life.astype(np.int64) + 1).astype(np.uint32))[:3], axis=1) * 2.0**-32
+    center = anchor_to_world[:3, :3] @ np.array(rain.haze_region.center_m) + anchor_to_world[:3, 3]
+    # The copy of the lattice point that lies in the cell around the region's centre.
+    local = ((birthplace - center / period + 0.5) % 1.0 - 0.5) * period
+    inside = np.all(np.abs(local @ anchor_to_world[:3, :3]) <= size / 2, axis=1)
+    elapsed = (age - life) * LIFETIME_S
+    fade = _smoothstep(elapsed / FADE_S) * _smoothstep((LIFETIME_S - elapsed) / FADE_S)
+    return local[inside] + center, fade[inside]
+
+
+def _jumping(
+    rain: Rain, count: int, time_s: float, anchor_to_world: Float64[np.ndarray, "4 4"]
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
+    """All positions drawn anew at every moment (paper, Algorithm 1)."""
+    size = np.array(rain.haze_region.size_m) + 6 * rain.haze_sigma_m
+    index = np.arange(round(count * np.prod(size) / rain.haze_region.volume_m3), dtype=np.uint32)
+    moment = np.full_like(index, round(time_s * 1e6) & 0xFFFFFFFF)
+    fractions = np.stack(_hash(rain.seed, index, moment)[:3], axis=1) * 2.0**-32
+    local = (fractions - 0.5) * size + rain.haze_region.center_m
+    return local @ anchor_to_world[:3, :3].T + anchor_to_world[:3, 3], np.ones(len(local))
+
+
+def _hash(
+    seed: int, index: UInt32[np.ndarray, " n"], life: UInt32[np.ndarray, " n"]
+) -> tuple[UInt32[np.ndarray, " n"], ...]:
+    return pcg4d(index, life, np.full_like(index, _SALT), np.full_like(index, seed))
+
+
+def _smoothstep(x: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    x = np.clip(x, 0, 1)
+    return x * x * (3 - 2 * x)

@@ -1,0 +1,199 @@
+"""Rain that falls: from what a person asks for, a moment and a camera to the Gaussians of that moment."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
+from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
+
+from .calibration import Calibration, load_calibration
+from .drop_field import Culling, Drops, Offsets, count_in_region, find_drops, offsets
+from .drop_motion import DropMotion, Wind
+from .haze import make_haze
+from .rain import Rain
+from .rain_gaussians import RainGaussians
+from .rain_state import RainState, fall_speed, rain_state
+from .streaks import Shutter, make_streaks, visible_distance_m
+
+OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)
+"""Display colour of drops where a scene shows no sky to take it from."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """From where, and how, rain is looked at. World frame, metres."""
+
+    camera: Camera
+    anchor_to_world: Float64[np.ndarray, "4 4"]
+    """Frame of the rain regions: x forward, y left, z up; without tilt."""
+    velocity_m_s: Float64[np.ndarray, "3"]
+    """Of the camera."""
+    focal_px: float | None = None
+    """Focal length of the output image; none takes the camera's own."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rainfall:
+    """One rain with everything that is worked out once for it. A value: `changed` makes the next one."""
+
+    rain: Rain
+    calibration: Calibration
+    state: RainState
+    diameters_mm: Float64[np.ndarray, "classes"]
+    motion: DropMotion
+
+    @classmethod
+    def start(cls, rain: Rain, calibration: Calibration | None = None) -> Self:
+        """Begin a rain whose drops are a function of (seed, t) alone."""
+        calibration = calibration or load_calibration(rain.calibration)
+        state = rain_state(rain, calibration)
+        diameters = state.sizes.class_diameters_mm
+        motion = DropMotion(_wind(rain), fall_speed(rain, calibration)(diameters))
+        return cls(rain, calibration, state, diameters, motion)
+
+    def changed(self, rain: Rain, time_s: float) -> "Rainfall":
+        """Change the rain while it falls: drops go on from where they are."""
+        calibration = self.calibration
+        if rain.calibration != self.rain.calibration:
+            calibration = load_calibration(rain.calibration)
+        state = rain_state(rain, calibration)
+        diameters = state.sizes.class_diameters_mm
+        motion = self.motion.changed(time_s, _wind(rain), fall_speed(rain, calibration)(diameters))
+        return replace(
+            self, rain=rain, calibration=calibration, state=state, diameters_mm=diameters, motion=motion
+        )
+
+    def at(
+        self, time_s: float, view: View, sky: tuple[float, float, float] = OVERCAST
+    ) -> RainGaussians | None:
+        """Return the rain of a moment as Gaussians; None at 0 mm/h. `sky` is the display colour of the scene's sky."""
+        if self.state.intensity_mm_h == 0:
+            return None
+        color = np.array(self.rain.drop_color or sky)
+        pieces: list[Gaussians] = []
+        drawn = 0
+        if self.rain.streaks:
+            drawn, streaks = self._streaks(time_s, view, color)
+            pieces.append(streaks)
+        hazes = self._haze(time_s, view, color) if self.rain.haze else Gaussians.empty()
+        pieces.append(hazes)
+        return RainGaussians(
+            Gaussians.concatenate(pieces),
+            srgb_to_linear(color).astype(np.float32),
+            self.rain.rain_light,
+            drawn,
+            len(hazes),
+        )
+
+    def drops_in_region(self, time_s: float, view: View) -> int:
+        """Count the drops that are in the streak region at a moment, seen or not."""
+        cell = self._cell(time_s, view)
+        return count_in_region(cell.count, self.rain.seed, cell.where, cell.period_m, cell.culling)
+
+    def _streaks(
+        self, time_s: float, view: View, color: Float64[np.ndarray, "3"]
+    ) -> tuple[int, Gaussians]:
+        cell = self._cell(time_s, view)
+        drops = find_drops(cell.count, self.rain.seed, cell.where, cell.period_m, cell.culling)
+        streaks = make_streaks(
+            cell.to_world(drops),
+            self.diameters_mm[drops.class_index],
+            self.motion.velocity(time_s)[drops.class_index],
+            Shutter(view.camera, view.velocity_m_s, self.exposure_s(view), self._focal(view)),
+            self.rain,
+        )
+        gaussians = Gaussians(
+            streaks.means, streaks.scales, streaks.quaternions, streaks.opacities, _sh(color, len(streaks.means))
+        )
+        return len(drops.index), gaussians
+
+    def _haze(self, time_s: float, view: View, color: Float64[np.ndarray, "3"]) -> Gaussians:
+        haze = make_haze(
+            self.rain, self.state.haze_gaussians, time_s, view.anchor_to_world, view.camera.position
+        )
+        n = len(haze.means)
+        upright = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
+        scales = np.full((n, 3), self.rain.haze_sigma_m, np.float32)
+        return Gaussians(haze.means, scales, upright, haze.opacities, _sh(color, n))
+
+    def exposure_s(self, view: View) -> float:
+        """Shutter time: the rain's own, else the camera's."""
+        return self.rain.exposure_s if self.rain.exposure_s is not None else view.camera.exposure_s
+
+    def _focal(self, view: View) -> float:
+        return view.focal_px or float(np.sqrt(view.camera.fx * view.camera.fy))
+
+    def _cell(self, time_s: float, view: View) -> "_Cell":
+        region, turn = self.rain.streak_region, view.anchor_to_world[:3, :3]
+        size = np.array(region.size_m)
+        center = turn @ np.array(region.center_m) + view.anchor_to_world[:3, 3]
+        if self.rain.streak_reset == "paper":
+            # The region itself is the cell: drops stay in the ego's frame, fall straight, re-enter at the top.
+            period, axes = size, turn
+            motion = self.motion.displacement(time_s) * np.array([0, 0, 1])
+            where = offsets(motion, np.zeros(3), period)
+        else:
+            # World axes; a horizontal period of the region's diagonal covers the region at any yaw.
+            period, axes = np.array([*np.full(2, np.hypot(size[0], size[1])), size[2]]), np.eye(3)
+            where = offsets(self.motion.displacement(time_s), center, period)
+        camera = view.camera
+        slopes = np.array(
+            [
+                -camera.cx / camera.fx,
+                (camera.width - camera.cx) / camera.fx,
+                -camera.cy / camera.fy,
+                (camera.height - camera.cy) / camera.fy,
+            ]
+        )
+        if self.rain.far_drops == "haze":
+            far = self.rain.critical_haze_coefficient * visible_distance_m(self.diameters_mm, self._focal(view))
+        else:
+            far = np.full(len(self.diameters_mm), 1e6)
+        fastest = float(np.max(np.linalg.norm(self.motion.velocity(time_s) - view.velocity_m_s, axis=1)))
+        culling = Culling(
+            region_rotation=np.ascontiguousarray(turn[:2, :2].T @ axes[:2, :2]),
+            region_half=size / 2,
+            camera_position=axes.T @ (camera.position - center),
+            cell_to_camera=np.ascontiguousarray(camera.world_to_camera[:3, :3] @ axes),
+            slopes=slopes,
+            margin_m=2 * fastest * self.exposure_s(view) + 0.02,
+            reach=float(np.sqrt(1 + np.max(slopes[:2] ** 2) + np.max(slopes[2:] ** 2))),
+            class_far_m=far,
+        )
+        count = round(self.state.density_m3 * float(np.prod(period)))
+        return _Cell(count, where, period, axes, center, culling)
+
+
+@dataclass(frozen=True, eq=False)
+class _Cell:
+    """The periodic cell of a moment."""
+
+    count: int
+    where: Offsets
+    period_m: Float64[np.ndarray, "3"]
+    axes: Float64[np.ndarray, "3 3"]
+    center_m: Float64[np.ndarray, "3"]
+    culling: Culling
+
+    def to_world(self, drops: Drops) -> Float64[np.ndarray, "m 3"]:
+        return drops.positions(self.period_m) @ self.axes.T + self.center_m
+
+
+def _wind(rain: Rain) -> Wind:
+    if rain.streak_reset == "paper":  # its drops fall straight down
+        return Wind()
+    return Wind(rain.wind_m_s, rain.gust_m_s, rain.seed)
+
+
+def _sh(color: Float64[np.ndarray, "3"], count: int) -> Float32[np.ndarray, "n 1 3"]:
+    return np.broadcast_to(sh_from_color(color.astype(np.float32)[None]), (count, 1, 3)).copy()
+
+
+def mean_sky(colors: Float64[np.ndarray, "n 3"]) -> tuple[float, float, float]:
+    """Mean in linear light of the sky's display colours (paper, eq. 3), as a display colour."""
+    red, green, blue = linear_to_srgb(srgb_to_linear(colors).mean(axis=0))
+    return float(red), float(green), float(blue)
