@@ -1,0 +1,31 @@
+"""Fixtures that many tests share."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+def shared_folder() -> Path:
+    """Where test data lies that is not part of the project."""
+    return Path(os.environ.get("GSRAIN_TEST_DATA", REPOSITORY.parent / "shared" / "data"))
+
+
+@pytest.fixture(scope="session")
+def test_data() -> Path:
+    """Real captures and data sets; tests that need them are skipped where they are absent."""
+    folder = shared_folder()
+    if not folder.is_dir():
+        pytest.skip(f"no test data at {folder} (set GSRAIN_TEST_DATA)")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def golden() -> Path:
+    """Reference images of an independent rasterizer."""
+    folder = shared_folder().parent / "golden"
+    if not folder.is_dir():
+        pytest.skip(f"no reference images at {folder} (set GSRAIN_TEST_DATA)")
+    return folder
