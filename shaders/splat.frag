@@ -1,8 +1,9 @@
 #version 430
-// One fragment of a splat, premultiplied. Rain adds its light in linear space (LINEAR_RAIN) over the clear scene.
+// One fragment of a splat, premultiplied. Where rain mixes in linear light (LINEAR_RAIN), the scene and the rain are
+// kept apart: `fragment` gathers the scene alone, as if it were clear, and `shares` how much of each the eye sees
+// through the other. rain_resolve.frag puts them together.
 
 #include "common_splat.glsl"
-#include "common_srgb.glsl"
 
 in vec2 deviations;
 flat in vec4 color_alpha;
@@ -10,26 +11,24 @@ flat in float view_depth;
 flat in int is_rain;
 
 layout(location = 0) out vec4 fragment;
-#ifdef WITH_DEPTH
-layout(location = 1) out vec4 weighted_depth;
-#endif
 #ifdef LINEAR_RAIN
-uniform sampler2D clear_scene;  // the same view without rain, premultiplied
-uniform vec3 rain_light;        // a drop's colour in linear light
+layout(location = 1) out vec4 shares;          // red: rain, green: scene
+#endif
+#ifdef WITH_DEPTH
+layout(location = 2) out vec4 weighted_depth;  // of the scene: rain has no part in it
 #endif
 
 void main() {
     float alpha = min(MAX_ALPHA, color_alpha.a * exp(-0.5 * dot(deviations, deviations)));
     if (alpha < (is_rain != 0 ? RAIN_ALPHA_CUT : SCENE_ALPHA_CUT)) discard;
-    fragment = vec4(color_alpha.rgb * alpha, alpha);
+    float scene_alpha = is_rain != 0 ? 0.0 : alpha;
 #ifdef LINEAR_RAIN
-    if (is_rain != 0) {
-        vec3 behind = texelFetch(clear_scene, ivec2(gl_FragCoord.xy), 0).rgb;
-        vec3 mixed = linear_to_srgb((1.0 - alpha) * srgb_to_linear(behind) + alpha * rain_light);
-        fragment.rgb = mixed - (1.0 - alpha) * behind;
-    }
+    fragment = vec4(color_alpha.rgb * scene_alpha, scene_alpha);
+    shares = vec4(alpha - scene_alpha, scene_alpha, 0.0, alpha);
+#else
+    fragment = vec4(color_alpha.rgb * alpha, alpha);
 #endif
 #ifdef WITH_DEPTH
-    weighted_depth = vec4(view_depth * alpha, 0.0, 0.0, alpha);
+    weighted_depth = vec4(view_depth * scene_alpha, scene_alpha, 0.0, scene_alpha);
 #endif
 }

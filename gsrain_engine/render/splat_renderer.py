@@ -48,16 +48,16 @@ class SplatRenderer:
         self.arrays = GpuArrays(context)
         self._dtype = "f2" if precision == "half" else "f4"
         self._project = load_compute_shader(context, "splat_project.comp")
-        self._programs: dict[tuple[str, ...], moderngl.Program] = {}
-        self._vertices: dict[tuple[str, ...], moderngl.VertexArray] = {}
+        self._programs: dict[tuple[str, ...], tuple[moderngl.Program, moderngl.VertexArray]] = {}
         self._storage: dict[int, moderngl.Buffer] = {}
         self._targets: dict[str, _Target] = {}
-        self._depth_drawn = False
+        self._picture: moderngl.Texture | None = None
 
     @property
     def picture(self) -> moderngl.Texture:
         """The last picture: premultiplied display colour, first row on top."""
-        return self._targets["picture"].color
+        assert self._picture is not None, "draw before looking at the picture"
+        return self._picture
 
     def draw(
         self,
@@ -89,37 +89,29 @@ class SplatRenderer:
             keys = np.frombuffer(self._storage[_DEPTHS].read(4 * total), np.uint32)
         with self._timed("sort"):
             order = back_to_front(keys)
-            scene_only = order
-            if drops is not None and (with_depth or (rain is not None and rain.mixing == "linear")):
-                scene_only = order[order < scene_count]
         with self._timed("draw"):
-            if drops is None or rain is None:
-                self._blend("picture", order, camera, with_depth=with_depth)
-            else:
-                light = rain.light_linear if rain.mixing == "linear" else None
-                if light is not None or with_depth:
-                    self._blend("clear", scene_only, camera, with_depth=with_depth)
-                self._blend("picture", order, camera, rain_light=light)
+            light = rain.light_linear if drops is not None and rain is not None and rain.mixing == "linear" else None
+            self._blend(order, camera, with_depth=with_depth, linear_rain=light is not None)
+            if light is not None:
+                self._resolve_rain(light)
             self.context.finish()
+        self._picture = self._targets["rainy" if light is not None else "splats"].color
         self.statistics.splats_drawn = len(order)
-        self._depth_drawn = with_depth
-        self._depth_target = "picture" if drops is None else "clear"
         self.arrays.release_unused()
 
     def read(self) -> Frame:
         """Fetch the last picture (and depth, if it was drawn) from the GPU."""
-        target = self._targets["picture"]
-        width, height = target.color.size
-        rgba = np.frombuffer(target.color.read(), np.dtype(self._dtype).newbyteorder("="))
-        rgba = rgba.reshape(height, width, 4).astype(np.float32)
-        if not self._depth_drawn:
+        rgba = self._fetch(self.picture)
+        depth = self._targets["splats"].depth
+        if depth is None:
             return Frame(rgba)
-        depth_target = self._targets[self._depth_target]
-        assert depth_target.depth is not None
-        weighted = np.frombuffer(depth_target.depth.read(), np.float32).reshape(height, width)
-        alpha = np.frombuffer(depth_target.color.read(), np.dtype(self._dtype)).reshape(height, width, 4)[..., 3]
-        safe = np.maximum(alpha.astype(np.float32), np.float32(1e-6))
-        return Frame(rgba, np.where(alpha > 0.5, weighted / safe, np.float32(0)))
+        weighted, weight = np.moveaxis(self._fetch(depth), -1, 0)
+        return Frame(rgba, np.where(weight > 0.5, weighted / np.maximum(weight, np.float32(0.5)), np.float32(0)))
+
+    def _fetch(self, texture: moderngl.Texture) -> Float32[np.ndarray, "h w c"]:
+        width, height = texture.size
+        values = np.frombuffer(texture.read(), np.float16 if texture.dtype == "f2" else np.float32)
+        return values.reshape(height, width, texture.components).astype(np.float32)
 
     def upload(self, gaussians: Gaussians, slice_size: int = CHUNK // 16) -> Iterator[float]:
         """Bring Gaussians to the GPU ahead of their first frame, a slice at each step."""
@@ -168,22 +160,13 @@ class SplatRenderer:
             self._project.run(-(-count // 256))
 
     def _blend(
-        self,
-        name: str,
-        order: UInt32[np.ndarray, " m"],
-        camera: Camera,
-        *,
-        with_depth: bool = False,
-        rain_light: Float32[np.ndarray, "3"] | None = None,
+        self, order: UInt32[np.ndarray, " m"], camera: Camera, *, with_depth: bool, linear_rain: bool
     ) -> None:
-        target = self._target(name, (camera.width, camera.height), with_depth)
-        switches = ("WITH_DEPTH",) * with_depth + ("LINEAR_RAIN",) * (rain_light is not None)
-        program, vertices = self._program(switches)
+        """Draw the splats of an order over nothing."""
+        target = self._target("splats", (camera.width, camera.height), shares=linear_rain, depth=with_depth)
+        switches = ("LINEAR_RAIN",) * linear_rain + ("WITH_DEPTH",) * with_depth
+        program, vertices = self._program("splat.vert", "splat.frag", switches)
         program["image_size"] = (camera.width, camera.height)
-        if rain_light is not None:
-            program["rain_light"] = tuple(rain_light)
-            self._targets["clear"].color.use(0)
-            program["clear_scene"] = 0
         before = self.context.detect_framebuffer()
         target.framebuffer.use()
         target.framebuffer.clear()
@@ -197,38 +180,69 @@ class SplatRenderer:
             self.context.enable_only(moderngl.NOTHING)
         before.use()
 
-    def _program(self, switches: tuple[str, ...]) -> tuple[moderngl.Program, moderngl.VertexArray]:
-        if switches not in self._programs:
-            self._programs[switches] = load_program(self.context, "splat.vert", "splat.frag", switches=switches)
-            self._vertices[switches] = self.context.vertex_array(self._programs[switches], [])
-        return self._programs[switches], self._vertices[switches]
+    def _resolve_rain(self, light: Float32[np.ndarray, "3"]) -> None:
+        """Put scene and rain together in linear light."""
+        splats = self._targets["splats"]
+        assert splats.shares is not None
+        target = self._target("rainy", splats.color.size)
+        program, vertices = self._program("screen.vert", "rain_resolve.frag")
+        program["rain_light"] = tuple(light)
+        for unit, (name, texture) in enumerate((("clear_scene", splats.color), ("shares", splats.shares))):
+            texture.use(unit)
+            program[name] = unit
+        before = self.context.detect_framebuffer()
+        target.framebuffer.use()
+        vertices.render(moderngl.TRIANGLES, vertices=3)
+        before.use()
 
-    def _target(self, name: str, size: tuple[int, int], with_depth: bool) -> "_Target":
+    def _program(
+        self, vertex: str, fragment: str, switches: tuple[str, ...] = ()
+    ) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        key = (fragment, *switches)
+        if key not in self._programs:
+            program = load_program(self.context, vertex, fragment, switches=switches)
+            self._programs[key] = program, self.context.vertex_array(program, [])
+        return self._programs[key]
+
+    def _target(self, name: str, size: tuple[int, int], *, shares: bool = False, depth: bool = False) -> "_Target":
         held = self._targets.get(name)
-        if held is None or held.color.size != size or (held.depth is None) == with_depth:
+        wanted = (size, shares, depth)
+        if held is None or held.layout != wanted:
             if held is not None:
                 held.release()
-            color = self.context.texture(size, 4, dtype=self._dtype)
-            color.filter = moderngl.LINEAR, moderngl.LINEAR
-            depth = self.context.texture(size, 1, dtype="f4") if with_depth else None
-            attachments = [color] if depth is None else [color, depth]
-            self._targets[name] = _Target(color, depth, self.context.framebuffer(attachments))
+            self._targets[name] = _Target.make(self.context, wanted, self._dtype)
         return self._targets[name]
+
+
+_Layout = tuple[tuple[int, int], bool, bool]
 
 
 @dataclass(slots=True)
 class _Target:
-    """Textures that are drawn into."""
+    """Textures that are drawn into; the fragment shader's locations 0, 1, 2."""
 
+    layout: _Layout
     color: moderngl.Texture
+    shares: moderngl.Texture | None
     depth: moderngl.Texture | None
     framebuffer: moderngl.Framebuffer
 
+    @classmethod
+    def make(cls, context: moderngl.Context, layout: _Layout, dtype: str) -> "_Target":
+        size, with_shares, with_depth = layout
+        color = context.texture(size, 4, dtype=dtype)
+        color.filter = moderngl.NEAREST, moderngl.NEAREST
+        # Without rain the second attachment keeps its place for the third, at one pixel's price in memory a channel.
+        shares = context.texture(size, 2, dtype=dtype) if with_shares or with_depth else None
+        depth = context.texture(size, 2, dtype="f4") if with_depth else None
+        attachments = [each for each in (color, shares, depth) if each is not None]
+        return cls(layout, color, shares, depth, context.framebuffer(attachments))
+
     def release(self) -> None:
         self.framebuffer.release()
-        self.color.release()
-        if self.depth is not None:
-            self.depth.release()
+        for texture in (self.color, self.shares, self.depth):
+            if texture is not None:
+                texture.release()
 
 
 class _Stopwatch:

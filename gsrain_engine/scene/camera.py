@@ -67,6 +67,15 @@ class Camera:
             cy=self.cy * s,
         )
 
+    def moved(self, similarity: Float64[np.ndarray, "4 4"]) -> "Camera":
+        """Show the same picture of a world that was moved, turned and scaled (scene units to metres, say)."""
+        scale = np.cbrt(np.linalg.det(similarity[:3, :3]))
+        turn = similarity[:3, :3] / scale
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.world_to_camera[:3, :3] @ turn.T
+        matrix[:3, 3] = scale * self.world_to_camera[:3, 3] - matrix[:3, :3] @ similarity[:3, 3]
+        return replace(self, world_to_camera=matrix)
+
     def to_json(self) -> dict[str, Any]:
         """Return the plain values of a camera file."""
         return {

@@ -1,0 +1,72 @@
+"""A scene in its rain, seen from a camera at a moment: the one way in which window and command line draw."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsrain_engine.rain.rain_gaussians import RainGaussians
+from gsrain_engine.rain.rainfall import Rainfall, View
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.scene import Scene
+
+from .frame import Color
+from .splat_renderer import SplatRenderer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """A moment of a scene from a place. World frame, metres."""
+
+    camera: Camera
+    time_s: float = 0.0
+    velocity_m_s: Float64[np.ndarray, "3"] | None = None
+    """Of the camera; none while it stands."""
+    focal_px: float | None = None
+    """Focal length of the output image where a smaller one is drawn; none takes the camera's."""
+
+
+def draw_shot(
+    renderer: SplatRenderer, scene: Scene, rainfall: Rainfall, sky: Color, shot: Shot, *, with_depth: bool = False
+) -> RainGaussians | None:
+    """Draw a scene in its rain into the renderer's picture; returns the rain that fell in it."""
+    falling = rain_in(scene, rainfall, sky, shot)
+    renderer.draw(scene.parts(shot.time_s), shot.camera, falling, with_depth=with_depth)
+    return falling
+
+
+def rain_in(scene: Scene, rainfall: Rainfall, sky: Color, shot: Shot) -> RainGaussians | None:
+    """Rain of a shot as Gaussians; None at 0 mm/h."""
+    return rainfall.at(shot.time_s, rain_view(scene, rainfall, shot), sky)
+
+
+def rain_view(scene: Scene, rainfall: Rainfall, shot: Shot) -> View:
+    """How the rain sees a shot: from where, how fast, and around what its regions stand."""
+    velocity = shot.velocity_m_s if shot.velocity_m_s is not None else np.zeros(3)
+    return View(shot.camera, rain_anchor(scene, rainfall, shot), velocity, shot.focal_px)
+
+
+def rain_anchor(scene: Scene, rainfall: Rainfall, shot: Shot) -> Float64[np.ndarray, "4 4"]:
+    """Frame that the rain regions stand in.
+
+    The ego vehicle's, levelled, for a camera that rides on it, so that the cameras of a rig see the same drops. Any
+    other camera carries its rain along: the regions stand at its place and turn with its heading.
+    """
+    ego = scene.ego_to_world(shot.time_s)
+    position = shot.camera.position
+    if ego is not None:
+        level = _levelled(ego[:3, 0], ego[:3, 3])
+        local = level[:3, :3].T @ (position - level[:3, 3])
+        region = rainfall.rain.streak_region
+        if np.all(local >= region.minimum_m) and np.all(local <= region.maximum_m):
+            return level
+    return _levelled(shot.camera.world_to_camera[2, :3], position)
+
+
+def _levelled(forward: Float64[np.ndarray, "3"], origin: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
+    length = float(np.hypot(forward[0], forward[1]))
+    x, y = (forward[0] / length, forward[1] / length) if length > 1e-6 else (1.0, 0.0)
+    frame = np.eye(4)
+    frame[:2, :2] = [[x, -y], [y, x]]
+    frame[:3, 3] = origin
+    return frame

@@ -1,0 +1,73 @@
+"""The colour of a scene's sky, which is the colour of its drops (paper, eq. 3): taken once, the same for every camera."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from gsrain_engine.rain.rainfall import OVERCAST, mean_sky
+from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.scene import Part, Scene
+
+from .frame import Color
+from .splat_renderer import SplatRenderer
+
+_VIEWS, _WIDTH, _HEIGHT, _FOV_DEG = 4, 160, 120, 75.0
+_FAR_M = 60.0
+"""In a capture without a sky layer: what stands above the horizon farther than this is sky."""
+_LEAST_PIXELS = 200
+
+
+class Sky(NamedTuple):
+    """A sky's mean colour, and whether the scene showed one."""
+
+    color: Color
+    found: bool
+
+
+def sky_color(renderer: SplatRenderer, scene: Scene, place: Camera, time_s: float = 0.0) -> Sky:
+    """Look around from a camera's place and average, in linear light, what is sky.
+
+    Sky is what a sky layer shows past everything else; in a scene without one, what is far above the horizon. Where
+    there is neither, drops take the colour of an overcast sky.
+    """
+    found: list[np.ndarray] = []
+    sky = [layer.gaussians for layer in scene.layers if layer.kind == "sky" and layer.visible]
+    for camera in _look_around(place):
+        parts = scene.parts(time_s)
+        renderer.draw(parts, camera, with_depth=True)
+        frame = renderer.read()
+        assert frame.depth is not None
+        alpha = frame.rgba[..., 3]
+        if sky:
+            others = [part for part in parts if not _any_is(part, sky)]
+            renderer.draw(others, camera)
+            mask = (renderer.read().rgba[..., 3] < 0.05) & (alpha > 0.5)
+        else:
+            mask = (alpha > 0.5) & (frame.depth > _FAR_M) & (np.arange(_HEIGHT)[:, None] < _horizon_row(camera))
+        found.append(frame.rgba[mask][:, :3] / alpha[mask][:, None])
+    colors = np.concatenate(found).astype(np.float64)
+    if len(colors) < _LEAST_PIXELS:
+        return Sky(OVERCAST, False)
+    return Sky(mean_sky(np.clip(colors, 0, 1)), True)
+
+
+def _look_around(place: Camera) -> list[Camera]:
+    """Cameras in four directions, tilted up by 20 degrees."""
+    eye = place.position
+    forward = place.world_to_camera[2, :3]
+    heading = float(np.arctan2(forward[1], forward[0]))
+    cameras: list[Camera] = []
+    for k in range(_VIEWS):
+        angle = heading + 2 * np.pi * k / _VIEWS
+        target = eye + [np.cos(angle), np.sin(angle), np.tan(np.radians(20.0))]
+        cameras.append(Camera.from_fov(_WIDTH, _HEIGHT, _FOV_DEG, look_at(eye, target, np.array([0.0, 0.0, 1.0]))))
+    return cameras
+
+
+def _horizon_row(camera: Camera) -> float:
+    """Image row of points straight ahead at the camera's own height, less five degrees to stay above it."""
+    return float(camera.cy + camera.fy * np.tan(np.radians(15.0)))
+
+
+def _any_is(part: Part, sets: list) -> bool:  # type: ignore[type-arg]
+    return any(part.gaussians is each for each in sets)

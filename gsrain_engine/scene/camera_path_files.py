@@ -1,0 +1,102 @@
+"""Camera paths from files: our own JSON, nerfstudio's `camera_path.json`, and the `cameras.json` of 3DGS."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from .camera_path import CameraPath
+from .errors import SceneFormatError
+from .rotations import normalized, quaternions_from_matrices
+
+VERSION = 1
+_KEYS_PER_SECOND = 1.0
+"""Speed at which a list of training cameras, which has no times, is flown along."""
+
+
+def read_camera_path(path: Path | str) -> CameraPath:
+    """Read a camera path, whichever of the three kinds it is; positions in the scene's own units and axes."""
+    try:
+        values: Any = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SceneFormatError(path, f"can't be read: {error.strerror}") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise SceneFormatError(path, f"not a JSON file: {error}") from None
+    try:
+        camera_path = _reader(values, path)(values)
+    except KeyError as error:
+        raise SceneFormatError(path, f"a keyframe has no field {error.args[0]!r}") from None
+    except (TypeError, ValueError, IndexError) as error:
+        raise SceneFormatError(path, f"not a camera path: {error}") from None
+    arrays = (camera_path.times_s, camera_path.positions, camera_path.quaternions_wxyz, camera_path.vertical_fov_deg)
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise SceneFormatError(path, "a keyframe holds a number that is not finite")
+    if camera_path.vertical_fov_deg.min() <= 0 or camera_path.vertical_fov_deg.max() >= 180:
+        raise SceneFormatError(path, "the vertical field of view must be above 0 and below 180 degrees")
+    return camera_path
+
+
+def write_camera_path(path: Path | str, camera_path: CameraPath) -> None:
+    """Write a camera path as our own JSON."""
+    keyframes = [
+        {"time_s": t, "position": p, "quaternion_wxyz": q, "vertical_fov_deg": fov}
+        for t, p, q, fov in zip(
+            camera_path.times_s.tolist(),
+            camera_path.positions.tolist(),
+            camera_path.quaternions_wxyz.tolist(),
+            camera_path.vertical_fov_deg.tolist(),
+            strict=True,
+        )
+    ]
+    Path(path).write_text(json.dumps({"version": VERSION, "keyframes": keyframes}, indent=1) + "\n", encoding="utf-8")
+
+
+def _reader(values: Any, path: Path | str) -> Callable[[Any], CameraPath]:
+    if isinstance(values, dict) and "keyframes" in values:
+        if values.get("version", VERSION) > VERSION:
+            raise SceneFormatError(path, f"version {values['version']} is newer than {VERSION}, which this program reads")
+        return _own
+    if isinstance(values, dict) and "camera_path" in values:
+        return _nerfstudio
+    if isinstance(values, list) and values:
+        return _training_cameras
+    raise SceneFormatError(path, "expected keyframes, a nerfstudio camera_path, or a 3DGS list of cameras")
+
+
+def _own(values: dict[str, Any]) -> CameraPath:
+    keys = values["keyframes"]
+    return CameraPath(
+        np.array([key["time_s"] for key in keys], np.float64),
+        np.array([key["position"] for key in keys], np.float64),
+        normalized(np.array([key["quaternion_wxyz"] for key in keys], np.float64)),
+        np.array([key["vertical_fov_deg"] for key in keys], np.float64),
+    )
+
+
+def _nerfstudio(values: dict[str, Any]) -> CameraPath:
+    """nerfstudio: 4x4 camera-to-world with OpenGL axes (y up, z backward), row by row; fov is vertical, degrees."""
+    keys = values["camera_path"]
+    poses = np.array([key["camera_to_world"] for key in keys], np.float64).reshape(-1, 4, 4)
+    fov = np.array([key["fov"] for key in keys], np.float64)
+    times = np.linspace(0, float(values.get("seconds", len(keys) - 1)), len(keys)) if len(keys) > 1 else np.zeros(1)
+    return _from_poses(times, poses[:, :3, :3] @ np.diag([1.0, -1.0, -1.0]), poses[:, :3, 3], fov)
+
+
+def _training_cameras(values: list[dict[str, Any]]) -> CameraPath:
+    """3DGS: camera-to-world rotation with OpenCV axes, focal lengths in pixels."""
+    rotations = np.array([key["rotation"] for key in values], np.float64)
+    positions = np.array([key["position"] for key in values], np.float64)
+    fov = [np.degrees(2 * np.arctan(0.5 * key["height"] / key["fy"])) for key in values]
+    return _from_poses(np.arange(len(values)) / _KEYS_PER_SECOND, rotations, positions, np.array(fov))
+
+
+def _from_poses(
+    times: Float64[np.ndarray, " k"],
+    rotations: Float64[np.ndarray, "k 3 3"],
+    positions: Float64[np.ndarray, "k 3"],
+    fov: Float64[np.ndarray, " k"],
+) -> CameraPath:
+    return CameraPath(times, positions, normalized(quaternions_from_matrices(rotations)), fov)
