@@ -1,0 +1,1 @@
+"""Rasterization on the CPU: projection, tiles, compositing, and compositing's transpose."""

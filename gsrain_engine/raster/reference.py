@@ -1,0 +1,122 @@
+"""The slow, readable rasterizer that the fast kernels are tested against: NumPy, float64, tiny images only."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.rotations import matrices_from_quaternions
+from gsrain_engine.scene.scene import Part
+
+NEAR_M, DILATION_PX2, MAX_ALPHA, MIN_TRANSMITTANCE = 0.2, 0.3, 0.999, 1e-4
+SCENE_ALPHA_CUT, RAIN_ALPHA_CUT = 1 / 255, 1 / 65536
+
+
+class _Splat(NamedTuple):
+    center: Float64[np.ndarray, "2"]
+    covariance: Float64[np.ndarray, "2 2"]
+    opacity: float
+    cut: float
+    color: Float64[np.ndarray, "3"]
+    depth: float
+
+
+def rasterize_slowly(
+    parts: Sequence[Part], camera: Camera, rain: Sequence[Bool[np.ndarray, " _"] | None] | None = None
+) -> Float64[np.ndarray, "h w 5"]:
+    """Render premultiplied colour, alpha and alpha-weighted depth, as 3DGS defines them (Kerbl et al. 2023)."""
+    splats: list[_Splat] = []
+    for index, part in enumerate(parts):
+        flags = rain[index] if rain is not None else None
+        for i in range(len(part.gaussians)):
+            splat = _projected(part, i, camera, flags is not None and bool(flags[i]))
+            if splat is not None:
+                splats.append(splat)
+    weights = weights_slowly(sorted(splats, key=lambda splat: np.float32(splat.depth)), camera)
+    image = np.zeros((camera.height, camera.width, 5))
+    for splat, weight in weights:
+        image += weight[..., None] * np.array([*splat.color, 1.0, splat.depth])
+    return image
+
+
+def weights_slowly(
+    splats: Sequence[_Splat], camera: Camera
+) -> list[tuple[_Splat, Float64[np.ndarray, "h w"]]]:
+    """Blending weight of each splat in each pixel, nearest splat first."""
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    transmittance, is_open = np.ones(v.shape), np.ones(v.shape, bool)
+    weights: list[tuple[_Splat, Float64[np.ndarray, "h w"]]] = []
+    for splat in splats:
+        offset = np.stack([u, v], axis=-1) - splat.center
+        power = -0.5 * np.einsum("...i,ij,...j", offset, np.linalg.inv(splat.covariance), offset)
+        alpha = splat.opacity * np.exp(power)
+        alpha = np.where(alpha >= splat.cut, np.minimum(alpha, MAX_ALPHA), 0)
+        is_open &= transmittance * (1 - alpha) >= MIN_TRANSMITTANCE
+        weights.append((splat, np.where(is_open, transmittance * alpha, 0)))
+        transmittance = np.where(is_open, transmittance * (1 - alpha), transmittance)
+    return weights
+
+
+def _projected(part: Part, i: int, camera: Camera, is_rain: bool) -> _Splat | None:
+    g = part.gaussians
+    numbers = (g.means[i], g.scales[i], g.quaternions[i], g.opacities[i], g.sh[i])
+    if not all(np.isfinite(each).all() for each in numbers):
+        return None
+    object_to_camera = camera.world_to_camera @ part.to_world
+    x, y, z = object_to_camera[:3, :3] @ g.means[i].astype(np.float64) + object_to_camera[:3, 3]
+    if z <= NEAR_M:
+        return None
+    margin_x, margin_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
+    slope_x = np.clip(x / z, -camera.cx / camera.fx - margin_x, (camera.width - camera.cx) / camera.fx + margin_x)
+    slope_y = np.clip(y / z, -camera.cy / camera.fy - margin_y, (camera.height - camera.cy) / camera.fy + margin_y)
+    jacobian = np.array(
+        [[camera.fx / z, 0, -camera.fx * slope_x / z], [0, camera.fy / z, -camera.fy * slope_y / z]]
+    )
+    axes = matrices_from_quaternions(g.quaternions[i].astype(np.float64)) * g.scales[i]
+    half = jacobian @ object_to_camera[:3, :3] @ axes
+    covariance = half @ half.T + DILATION_PX2 * np.eye(2)
+    opacity, cut = float(g.opacities[i]), SCENE_ALPHA_CUT
+    if is_rain:
+        opacity *= float(np.sqrt(max(np.linalg.det(half @ half.T), 0) / np.linalg.det(covariance)))
+        cut = RAIN_ALPHA_CUT
+    center = np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
+    return _Splat(center, covariance, opacity, cut, _color(part, i, camera), float(z))
+
+
+def _color(part: Part, i: int, camera: Camera) -> Float64[np.ndarray, "3"]:
+    eye = np.linalg.inv(part.to_world) @ np.append(camera.position, 1)
+    direction = part.gaussians.means[i] - eye[:3]
+    sh = part.gaussians.sh[i].astype(np.float64)
+    basis = sh_basis_slowly(direction / np.linalg.norm(direction))[: len(sh)]
+    return np.maximum(basis @ sh + 0.5, 0)
+
+
+def sh_basis_slowly(direction: Float[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 16"]:
+    """Real spherical harmonics up to degree 3 in unit directions, signed as in 3DGS."""
+    x, y, z = np.moveaxis(np.asarray(direction, np.float64), -1, 0)
+    c1 = np.sqrt(3 / (4 * np.pi))
+    c2 = np.sqrt(15 / (4 * np.pi))
+    c3a, c3b = np.sqrt(35 / (32 * np.pi)), np.sqrt(21 / (32 * np.pi))
+    return np.stack(
+        [
+            np.full_like(x, np.sqrt(1 / (4 * np.pi))),
+            -c1 * y,
+            c1 * z,
+            -c1 * x,
+            c2 * x * y,
+            -c2 * y * z,
+            np.sqrt(5 / (16 * np.pi)) * (3 * z * z - 1),
+            -c2 * x * z,
+            c2 / 2 * (x * x - y * y),
+            -c3a * y * (3 * x * x - y * y),
+            np.sqrt(105 / (4 * np.pi)) * x * y * z,
+            -c3b * y * (5 * z * z - 1),
+            np.sqrt(7 / (16 * np.pi)) * z * (5 * z * z - 3),
+            -c3b * x * (5 * z * z - 1),
+            np.sqrt(105 / (16 * np.pi)) * z * (x * x - y * y),
+            -c3a * x * (x * x - 3 * y * y),
+        ],
+        axis=-1,
+    )

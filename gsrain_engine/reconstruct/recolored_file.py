@@ -1,0 +1,49 @@
+"""The file a recolouring writes: new spherical harmonics a layer and actor, and nothing else (.npz, no pickle)."""
+
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsrain_engine.scene.errors import SceneFormatError
+
+_VERSION = 1
+
+
+def write_recolored(path: Path, colors: Mapping[str, Float32[np.ndarray, "_ _ 3"]]) -> None:
+    """Write harmonics by name (`layers/NAME`, `actors/ID`): beside the target first, then renamed over it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(path.name + ".part")
+    arrays: dict[str, Any] = {"version": np.array(_VERSION), "names": np.array(list(colors), dtype=np.str_)}
+    arrays |= {f"sh_{i}": sh for i, sh in enumerate(colors.values())}
+    try:
+        with beside.open("wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def read_recolored(path: Path | str) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
+    """Read harmonics by name (`layers/NAME`, `actors/ID`).
+
+    Raises:
+        SceneFormatError: When the file holds something else.
+    """
+    try:
+        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            version = int(file["version"])
+            if version > _VERSION:
+                raise SceneFormatError(path, f"version {version} is newer than {_VERSION}, which this program knows")
+            colors = {str(name): file[f"sh_{i}"] for i, name in enumerate(file["names"])}
+    except (KeyError, TypeError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        if isinstance(error, SceneFormatError):
+            raise
+        raise SceneFormatError(path, f"not a file of recoloured Gaussians: {error}") from None
+    for name, sh in colors.items():
+        if sh.dtype != np.float32 or sh.ndim != 3 or sh.shape[2] != 3:
+            raise SceneFormatError(path, f"harmonics of {name!r} are {sh.dtype} {sh.shape}, expected float32 (n, k, 3)")
+    return colors

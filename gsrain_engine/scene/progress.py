@@ -1,0 +1,12 @@
+"""How far a background job has come: the one thing that jobs say while they work."""
+
+from typing import NamedTuple
+
+
+class Progress(NamedTuple):
+    """One step of a job; a job may be stopped wherever it yields one."""
+
+    fraction: float
+    """Work done so far, 0 to 1, never falling."""
+    message: str
+    """What is being done, for a person to read."""

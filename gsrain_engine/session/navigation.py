@@ -1,0 +1,97 @@
+"""The viewer's camera: orbit around a point, fly, dolly, pan, frame the scene. World frame (metres, z up)."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsrain_engine.scene.camera import Camera, look_at
+
+_STEEPEST = np.radians(89.0)
+_UP = np.array([0.0, 0.0, 1.0])
+SLOWEST_M_S, FASTEST_M_S = 0.05, 500.0
+
+
+@dataclass(slots=True)
+class Navigation:
+    """An eye with a heading and a pitch, and the distance of the point that it orbits."""
+
+    position: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.array([0.0, 0.0, 1.5]))
+    heading: float = 0.0
+    """Radians from +x to +y."""
+    pitch: float = 0.0
+    """Radians, upwards."""
+    distance_m: float = 5.0
+    """Of the point that orbit turns around."""
+    vertical_fov_deg: float = 50.0
+    speed_m_s: float = 5.0
+    velocity_m_s: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    """Of the last `fly`; rain slants for an eye that moves."""
+
+    @property
+    def forward(self) -> Float64[np.ndarray, "3"]:
+        """Unit vector of the line of sight."""
+        c = np.cos(self.pitch)
+        return np.array([c * np.cos(self.heading), c * np.sin(self.heading), np.sin(self.pitch)])
+
+    @property
+    def right(self) -> Float64[np.ndarray, "3"]:
+        """Unit vector to the right, level."""
+        return np.array([np.sin(self.heading), -np.cos(self.heading), 0.0])
+
+    @property
+    def target(self) -> Float64[np.ndarray, "3"]:
+        """The point that orbit turns around."""
+        return self.position + self.distance_m * self.forward
+
+    def camera(self, width: int, height: int) -> Camera:
+        """Camera of this eye for an image of a size."""
+        pose = look_at(self.position, self.position + self.forward, _UP)
+        return Camera.from_fov(width, height, self.vertical_fov_deg, pose)
+
+    def look_like(self, camera: Camera) -> None:
+        """Take the place, line of sight and field of view of a camera; roll is lost."""
+        forward = camera.world_to_camera[2, :3]
+        self.position = camera.position.copy()
+        self.heading = float(np.arctan2(forward[1], forward[0]))
+        self.pitch = float(np.clip(np.arcsin(np.clip(forward[2], -1, 1)), -_STEEPEST, _STEEPEST))
+        self.vertical_fov_deg = camera.vertical_fov_deg
+
+    def orbit(self, right_rad: float, up_rad: float) -> None:
+        """Turn around the target: the scene seems to turn with the hand."""
+        target = self.target
+        self.turn(-right_rad, -up_rad)
+        self.position = target - self.distance_m * self.forward
+
+    def turn(self, left_rad: float, up_rad: float) -> None:
+        """Turn the head in place."""
+        self.heading = float(np.mod(self.heading + left_rad + np.pi, 2 * np.pi) - np.pi)
+        self.pitch = float(np.clip(self.pitch + up_rad, -_STEEPEST, _STEEPEST))
+
+    def pan(self, right_share: float, up_share: float) -> None:
+        """Move across the line of sight by shares of the picture's height at the target's distance."""
+        metres = 2 * self.distance_m * np.tan(np.radians(self.vertical_fov_deg) / 2)
+        up = np.cross(self.right, self.forward)
+        self.position = self.position + metres * (right_share * self.right + up_share * up)
+
+    def dolly(self, steps: float) -> None:
+        """Come nearer to the target (positive) or go away, by a tenth of the distance a step."""
+        target = self.target
+        self.distance_m = float(np.clip(self.distance_m * 0.9**steps, 0.05, 1e5))
+        self.position = target - self.distance_m * self.forward
+
+    def fly(self, forward: float, right: float, up: float, real_s: float) -> None:
+        """Fly for a while; each direction is -1, 0 or 1."""
+        velocity = self.speed_m_s * (forward * self.forward + right * self.right + up * _UP)
+        self.velocity_m_s = velocity
+        self.position = self.position + velocity * real_s
+
+    def change_speed(self, steps: float) -> None:
+        """Fly faster or slower, by a quarter a step."""
+        self.speed_m_s = float(np.clip(self.speed_m_s * 1.25**steps, SLOWEST_M_S, FASTEST_M_S))
+
+    def frame(self, low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]) -> None:
+        """Back off along the line of sight until a box fills the picture."""
+        center, radius = (low + high) / 2, float(np.linalg.norm(high - low) / 2)
+        self.distance_m = max(radius / np.sin(np.radians(self.vertical_fov_deg) / 2), 0.1)
+        self.position = center - self.distance_m * self.forward

@@ -1,0 +1,246 @@
+import hashlib
+import os
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsrain_engine.raster.rasterizer import rasterize
+from gsrain_engine.raster.reference import rasterize_slowly, sh_basis_slowly
+from gsrain_engine.scene.camera import Camera, look_at, read_camera
+from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
+from gsrain_engine.scene.scene import Part
+
+from .raster_scenes import random_gaussians, small_camera
+
+HERE = np.eye(4)
+
+
+def similarity(scale: float, seed: int) -> np.ndarray:
+    rotation, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * rotation * np.sign(np.linalg.det(rotation))
+    return matrix
+
+
+def moved(gaussians: Gaussians, to_world: np.ndarray) -> Part:
+    """Put Gaussians elsewhere in their own frame so that `to_world` brings their means back."""
+    rotation = to_world[:3, :3]
+    means = np.linalg.solve(rotation, gaussians.means.T - to_world[:3, 3:]).T.astype(np.float32)
+    return Part(
+        Gaussians(means, gaussians.scales, gaussians.quaternions, gaussians.opacities, gaussians.sh), to_world
+    )
+
+
+def assert_like_the_reference(parts, camera, rain=None) -> None:
+    frame = rasterize(parts, camera, rain)
+    slow = rasterize_slowly(parts, camera, rain)
+    difference = np.abs(frame.rgba - slow[..., :4]).max(axis=-1)
+    # A fragment at a cut may fall on either side of it in float32: rarely, and by no more than the cut.
+    assert difference.max() < 6e-3
+    assert (difference > 1e-4).mean() < 0.005
+    solid = slow[..., 3] > 0.05
+    expected = slow[solid, 4] / slow[solid, 3]
+    error = np.abs(frame.depth[solid] - expected) / expected
+    assert np.quantile(error, 0.99) < 1e-3
+    assert (frame.depth[slow[..., 3] == 0] == 0).all()
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_agrees_with_the_reference_at_every_sh_degree(degree):
+    assert_like_the_reference([Part(random_gaussians(150, degree, degree), HERE)], small_camera())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_agrees_with_the_reference_where_parts_are_turned_and_scaled(seed):
+    parts = [Part(random_gaussians(60, seed, 1), HERE)]
+    parts += [moved(random_gaussians(60, 10 + seed, 3), similarity(0.5 + seed, seed))]
+    assert_like_the_reference(parts, small_camera())
+
+
+def test_agrees_with_the_reference_from_another_place():
+    pose = look_at(np.array([1.0, 0.5, -1]), np.array([0.3, 0, 4]), np.array([0.1, -1, 0]))
+    camera = Camera(40, 64, 60, 60, 30, 20, pose)
+    assert_like_the_reference([Part(random_gaussians(150, 5, 2), HERE)], camera)
+
+
+def test_agrees_with_the_reference_where_pixels_finish_early():
+    gaussians = random_gaussians(400, 3)
+    gaussians = Gaussians(
+        gaussians.means, 4 * gaussians.scales, gaussians.quaternions, np.full(400, 0.97, np.float32), gaussians.sh
+    )
+    frame = rasterize([Part(gaussians, HERE)], small_camera())
+    assert (1 - frame.rgba[..., 3] < 2e-3).mean() > 0.8  # it does finish
+    assert_like_the_reference([Part(gaussians, HERE)], small_camera())
+
+
+def test_agrees_with_the_reference_for_needles_and_grains():
+    gaussians = random_gaussians(80, 8)
+    scales = gaussians.scales.copy()
+    scales[:40] = (3.0, 1e-3, 1e-3)
+    scales[40:60] = 1e-5
+    gaussians = Gaussians(gaussians.means, scales, gaussians.quaternions, gaussians.opacities, gaussians.sh)
+    assert_like_the_reference([Part(gaussians, HERE)], small_camera())
+
+
+def test_rain_is_cut_later_and_keeps_its_integral():
+    gaussians = random_gaussians(60, 4)
+    scales = (gaussians.scales * 0.02).astype(np.float32)
+    faint = Gaussians(gaussians.means, scales, gaussians.quaternions, gaussians.opacities * 0.02, gaussians.sh)
+    parts = [Part(random_gaussians(40, 2), HERE), Part(faint, HERE)]
+    rain = [None, np.arange(60) % 3 > 0]
+    assert_like_the_reference(parts, small_camera(), rain)
+    alone = rasterize(parts[1:], small_camera(), [np.ones(60, bool)]).rgba[..., 3]
+    slow = rasterize_slowly(parts[1:], small_camera(), [np.ones(60, bool)])[..., 3]
+    np.testing.assert_allclose(alone, slow, rtol=1e-3, atol=2e-5)
+    assert 0 < alone.max() < 1 / 255
+
+
+def test_one_small_rain_splat_covers_its_own_cross_section():
+    # Far smaller than a pixel: the compensation must leave 2 pi sigma^2 f^2 / z^2 times its opacity.
+    sigma, depth, opacity = 0.002, 2.0, 0.5
+    drop = Gaussians(
+        np.array([[0.01, 0.02, depth]], np.float32), np.full((1, 3), sigma, np.float32),
+        np.array([[1, 0, 0, 0]], np.float32), np.array([opacity], np.float32), np.zeros((1, 1, 3), np.float32),
+    )  # fmt: skip
+    camera = Camera(64, 64, 300, 300, 32, 32)
+    alpha = rasterize([Part(drop, HERE)], camera, [np.ones(1, bool)]).rgba[..., 3]
+    assert alpha.sum() == pytest.approx(2 * np.pi * (sigma * 300 / depth) ** 2 * opacity, rel=0.02)
+
+
+def test_equal_depths_keep_their_index():
+    one = random_gaussians(1, 0)
+    red, blue = (sh_from_color(np.array([color], np.float32)) for color in ((1, 0, 0), (0, 0, 1)))
+    pair = Gaussians(
+        np.array([[0, 0, 3]] * 2, np.float32), np.full((2, 3), 0.5, np.float32), np.tile(one.quaternions, (2, 1)),
+        np.full(2, 0.9, np.float32), np.concatenate([red, blue]),
+    )  # fmt: skip
+    camera = small_camera()
+    center = rasterize([Part(pair, HERE)], camera).rgba[int(camera.cy), int(camera.cx)]
+    assert center[0] > 0.8 > 0.2 > center[2]
+    flipped = rasterize([Part(pair.take(np.array([1, 0])), HERE)], camera).rgba[int(camera.cy), int(camera.cx)]
+    assert flipped[2] > 0.8 > 0.2 > flipped[0]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    field=st.sampled_from(["means", "scales", "quaternions", "opacities", "sh"]),
+    value=st.sampled_from([np.nan, np.inf, -np.inf, 1e30, 3e38]),
+    row=st.integers(0, 19),
+)
+def test_numbers_that_are_none_neither_crash_nor_smear(field, value, row):
+    gaussians = random_gaussians(20, 1, 1)
+    arrays = {name: getattr(gaussians, name).copy() for name in ("means", "scales", "quaternions", "opacities", "sh")}
+    arrays[field].reshape(20, -1)[row, -1] = value
+    frame = rasterize([Part(Gaussians(**arrays), HERE)], small_camera())
+    assert np.isfinite(frame.rgba).all()
+    assert np.isfinite(frame.depth).all()
+    assert frame.rgba[..., 3].max() <= 1 + 1e-5
+    if not np.isfinite(value) and field != "opacities":
+        without = gaussians.take(np.delete(np.arange(20), row))
+        np.testing.assert_array_equal(frame.rgba, rasterize([Part(without, HERE)], small_camera()).rgba)
+
+
+def test_zero_scale_is_a_dot_of_the_pixels_own_footprint():
+    dot = random_gaussians(1, 1)
+    dot = Gaussians(
+        np.array([[0, 0, 2]], np.float32), np.zeros((1, 3), np.float32), dot.quaternions, np.ones(1, np.float32), dot.sh
+    )
+    camera = Camera(33, 33, 40, 40, 16.5, 16.5)
+    alpha = rasterize([Part(dot, HERE)], camera).rgba[..., 3]
+    assert alpha[16, 16] == np.float32(0.999)
+    assert alpha.sum() == pytest.approx(2 * np.pi * 0.3, rel=0.03)
+
+
+def test_nothing_gives_an_empty_picture():
+    for parts in ([], [Part(Gaussians.empty(), HERE)], [Part(random_gaussians(5, depth_m=(-9, 0.2)), HERE)]):
+        frame = rasterize(parts, small_camera())
+        assert frame.rgba.shape == (53, 75, 4)
+        assert not frame.rgba.any()
+        assert not frame.depth.any()
+
+
+def test_the_same_bytes_at_any_thread_count():
+    parts = [Part(random_gaussians(3000, 6, 1), HERE)]
+    digests, before = set[str](), numba.get_num_threads()
+    try:
+        for threads in range(1, numba.config.NUMBA_NUM_THREADS + 1):
+            numba.set_num_threads(threads)
+            frame = rasterize(parts, small_camera(300, 200))
+            digests.add(hashlib.sha256(frame.rgba.tobytes() + frame.depth.tobytes()).hexdigest())
+    finally:
+        numba.set_num_threads(before)
+    assert len(digests) == 1
+
+
+def test_reference_harmonics_are_orthonormal_and_signed_as_in_3dgs():
+    z, weight = np.polynomial.legendre.leggauss(8)
+    phi = (np.arange(16) + 0.5) * np.pi / 8
+    directions = np.stack(
+        [
+            np.sqrt(1 - z[:, None] ** 2) * np.cos(phi),
+            np.sqrt(1 - z[:, None] ** 2) * np.sin(phi),
+            np.broadcast_to(z[:, None], (8, 16)),
+        ],
+        axis=-1,
+    )
+    basis = sh_basis_slowly(directions)
+    np.testing.assert_allclose(np.einsum("zpi,zpj,z->ij", basis, basis, weight) * np.pi / 8, np.eye(16), atol=1e-12)
+    assert (sh_basis_slowly(np.eye(3))[[1, 2, 0], [1, 2, 3]] * [-1, 1, -1] > 0).all()
+
+
+def golden_folder() -> Path:
+    data = os.environ.get("GSRAIN_TEST_DATA", Path(__file__).parents[2].parent / "shared" / "data")
+    folder = Path(data).parent / "golden"
+    if not folder.is_dir():
+        pytest.skip(f"no golden images at {folder}")
+    return folder
+
+
+def read_3dgs_ply(path: Path) -> Gaussians:
+    raw = path.read_bytes()
+    body = raw.index(b"end_header\n") + len(b"end_header\n")
+    names = [line.split()[2] for line in raw[:body].decode().splitlines() if line.startswith("property")]
+    rows = np.frombuffer(raw, np.dtype([(name, "<f4") for name in names]), offset=body)
+
+    def columns(*keys):
+        return np.stack([rows[key] for key in keys], axis=1)
+
+    rest = columns(*(f"f_rest_{i}" for i in range(45))).reshape(-1, 3, 15).transpose(0, 2, 1)
+    quaternions = columns("rot_0", "rot_1", "rot_2", "rot_3")
+    return Gaussians(
+        columns("x", "y", "z"),
+        np.exp(columns("scale_0", "scale_1", "scale_2")),
+        quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True),
+        1 / (1 + np.exp(-rows["opacity"])),
+        np.concatenate([columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None], rest], axis=1),
+    )
+
+
+def read_splat_rows(path: Path) -> Gaussians:
+    rows = np.fromfile(path, np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("wxyz", "u1", 4)]))
+    quaternions = (rows["wxyz"].astype(np.float32) - 128) / 128
+    rgba = rows["rgba"].astype(np.float32) / 255
+    return Gaussians(
+        np.ascontiguousarray(rows["mean"]),
+        np.ascontiguousarray(rows["scale"]),
+        quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True),
+        np.ascontiguousarray(rgba[:, 3]),
+        sh_from_color(rgba[:, :3]),
+    )
+
+
+@pytest.mark.parametrize(("case", "least_db"), [("street_sh3", 60), ("plant", 70)])
+def test_golden_images(case, least_db):
+    folder = golden_folder()
+    if case == "plant":
+        gaussians = read_splat_rows(folder.parent / "data" / "scenes" / "plant.splat")
+    else:
+        gaussians = read_3dgs_ply(folder / f"{case}.ply")
+    frame = rasterize([Part(gaussians, HERE)], read_camera(folder / f"{case}.camera.json"))
+    reference = np.load(folder / f"{case}.reference.npz")["rgb"].astype(np.float64)
+    psnr_db = -10 * np.log10(np.mean((frame.rgba[..., :3] - reference) ** 2))
+    assert psnr_db > least_db

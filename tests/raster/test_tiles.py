@@ -1,0 +1,62 @@
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsrain_engine.raster.projection import project
+from gsrain_engine.raster.tiles import TILE, bin_into_tiles
+from gsrain_engine.scene.scene import Part
+
+from .raster_scenes import random_gaussians, small_camera
+
+
+def powers_above_the_cut(shape: np.ndarray, width: int, height: int) -> np.ndarray:
+    """ln(alpha / cut) of one splat in every pixel, float64."""
+    v, u = np.mgrid[:height, :width] + 0.5
+    x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, _ = shape.astype(np.float64)
+    dy = v - y
+    return log_opacity - log_cut + sharpness_y * dy**2 + sharpness_x * (u - x - shear * dy) ** 2
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), stretch=st.sampled_from([1.0, 8.0]))
+def test_a_tile_is_listed_exactly_where_the_ellipse_touches_it(seed, stretch):
+    gaussians = random_gaussians(12, seed)
+    gaussians.scales[:, 0] *= stretch
+    camera = small_camera(90, 70)
+    shapes = project([Part(gaussians, np.eye(4))], camera).shapes
+    tiles = bin_into_tiles(shapes, 90, 70)
+    listed = [set(tiles.members[a:b].tolist()) for a, b in zip(tiles.starts[:-1], tiles.starts[1:], strict=True)]
+    for n, shape in enumerate(shapes):
+        # Whole tiles, also where the last ones stick out of the image.
+        power = powers_above_the_cut(shape, tiles.columns * TILE, tiles.rows * TILE)
+        for tile, members in enumerate(listed):
+            row, column = divmod(tile, tiles.columns)
+            block = power[row * TILE : (row + 1) * TILE, column * TILE : (column + 1) * TILE]
+            if block.max() > 1e-4:
+                assert n in members
+            if n in members:
+                assert reaches(shape, column, row)
+
+
+def reaches(shape: np.ndarray, column: int, row: int) -> bool:
+    """Whether the ellipse meets the rectangle of a tile's pixel centres (0.02 px of slack), sampled densely."""
+    u = np.linspace(column * TILE + 0.48, (column + 1) * TILE - 0.48, 400)
+    v = np.linspace(row * TILE + 0.48, (row + 1) * TILE - 0.48, 400)
+    x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, _ = shape.astype(np.float64)
+    dy = v[:, None] - y
+    power = log_opacity - log_cut + sharpness_y * dy**2 + sharpness_x * (u - x - shear * dy) ** 2
+    return bool(power.max() > -1e-2)
+
+
+def test_lists_keep_the_order_of_the_splats():
+    shapes = project([Part(random_gaussians(4000, 1), np.eye(4))], small_camera(300, 200)).shapes
+    tiles = bin_into_tiles(shapes, 300, 200)
+    assert tiles.starts[-1] == len(tiles.members) > 4000
+    for a, b in zip(tiles.starts[:-1], tiles.starts[1:], strict=True):
+        assert (np.diff(tiles.members[a:b]) > 0).all()
+
+
+def test_projection_sorts_by_depth():
+    splats = project([Part(random_gaussians(500, 2), np.eye(4))], small_camera())
+    assert len(splats) > 300
+    assert (np.diff(splats.colors[:, 3]) >= 0).all()
