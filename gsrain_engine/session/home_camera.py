@@ -1,0 +1,59 @@
+"""Where a scene is first looked at from. World frame (metres, z up)."""
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsrain_engine.scene.bounds import robust_bounds
+from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.camera_path import CameraPath, drive_path, orbit_path
+from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.scene import RigCamera, Scene
+
+_FOV_DEG = 50.0
+_LOOKING_DOWN_DEG = 8.0
+_ORBIT_S = 8.0
+
+
+def home_camera(scene: Scene, width: int, height: int) -> Camera:
+    """Through the windscreen where the scene has an ego vehicle with a rig; else in front of the scene's middle."""
+    front = front_camera(scene)
+    if front is not None:
+        return drive_path(scene, front, width, height).camera(0.0, width, height)
+    low, high = scene_bounds(scene)
+    center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+    # Captures look along their +z when up is -y (COLMAP's axes), along +x when up is +z.
+    ahead = scene.scene_to_world[:3, 0 if scene.up == (0.0, 0.0, 1.0) else 2]
+    ahead = ahead - [0, 0, ahead[2]]
+    ahead = ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 1e-6 else np.array([1.0, 0, 0])
+    down = np.radians(_LOOKING_DOWN_DEG)
+    sight = np.cos(down) * ahead - np.sin(down) * np.array([0, 0, 1.0])
+    eye = center - sight * radius / np.sin(np.radians(_FOV_DEG) / 2)
+    return Camera.from_fov(width, height, _FOV_DEG, look_at(eye, center, np.array([0.0, 0, 1])))
+
+
+def default_path(scene: Scene, width: int, height: int) -> CameraPath:
+    """Drive with the ego vehicle where there is one; else swing around the middle. World frame."""
+    front = front_camera(scene)
+    if front is not None:
+        return drive_path(scene, front, width, height)
+    low, high = scene_bounds(scene)
+    return orbit_path((low + high) / 2, home_camera(scene, width, height), _ORBIT_S)
+
+
+def front_camera(scene: Scene) -> RigCamera | None:
+    """The rig camera that looks straight ahead; None where no vehicle drives or it has no cameras."""
+    if scene.ego is None or not len(scene.ego.times):
+        return None
+    mounted = [camera for rig in scene.rigs.values() for camera in rig]
+    return max(mounted, key=lambda each: each.camera_to_ego[0, 2], default=None)
+
+
+def scene_bounds(scene: Scene) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+    """Box in the world around most of what can be seen, without the sky and stray Gaussians."""
+    shown = [layer.gaussians for layer in scene.layers if layer.visible and layer.kind != "sky"]
+    shown += [actor.gaussians for actor in scene.actors if actor.visible and not shown]
+    low, high = robust_bounds(Gaussians.concatenate([each for each in shown if len(each)]))
+    to_world = scene.scene_to_world
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    corners = corners @ to_world[:3, :3].T + to_world[:3, 3]
+    return corners.min(axis=0), corners.max(axis=0)

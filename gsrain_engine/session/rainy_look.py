@@ -1,0 +1,36 @@
+"""The rainy look as work for another process: scene in by folder, colours out by file."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsrain_engine.reconstruct.preview_cameras import preview_cameras
+from gsrain_engine.reconstruct.rainy_preview import rainy_preview
+from gsrain_engine.scene.formats import read_scene
+from gsrain_engine.scene.progress import Progress
+from gsrain_engine.scene.scene import Scene
+
+VIEWS = 8
+
+
+def make_rainy(scene_folder: Path, output: Path) -> Iterator[Progress]:
+    """Work of the job "Make it rainy (preview)": solve a saved scene's colours for views with a wet look."""
+    yield Progress(0.0, "Reading the scene")
+    scene = read_scene(scene_folder)
+    yield from rainy_preview(scene, preview_cameras(scene, VIEWS), output)
+
+
+def with_colors(scene: Scene, colors: Mapping[str, Float32[np.ndarray, "n k 3"]]) -> Scene:
+    """Return the scene in other colours, by `layers/NAME` and `actors/ID`; what is not named keeps its own."""
+    layers = tuple(
+        replace(each, gaussians=each.gaussians.with_sh(colors.get(f"layers/{each.name}", each.gaussians.sh)))
+        for each in scene.layers
+    )
+    actors = tuple(
+        replace(each, gaussians=each.gaussians.with_sh(colors.get(f"actors/{each.id}", each.gaussians.sh)))
+        for each in scene.actors
+    )
+    return replace(scene, layers=layers, actors=actors)

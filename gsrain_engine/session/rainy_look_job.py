@@ -1,0 +1,82 @@
+"""The job "Make it rainy (preview)" from click to swap: save, solve in another process, load, hand over."""
+
+import shutil
+import tempfile
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+from gsrain_engine.reconstruct.recolored_file import read_recolored
+from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.progress import Progress
+from gsrain_engine.scene.scene import Scene
+
+from .jobs import Job, JobState
+from .rainy_look import make_rainy, with_colors
+
+TITLE = "Make it rainy (preview)"
+
+
+class RainyLookJob:
+    """One run of the job. Call `poll` once a frame; `result` is there when `state` is finished."""
+
+    def __init__(self, scene: Scene, files: ThreadPoolExecutor) -> None:
+        """Start on a scene; `files` is where reading and writing happens."""
+        self.title = TITLE
+        self.scene = scene
+        self.state: JobState = "running"
+        self.progress = Progress(0.0, "Saving the scene for the worker")
+        self.error: str | None = None
+        self.details: str | None = None
+        self.result: Scene | None = None
+        self._files = files
+        self._folder = Path(tempfile.mkdtemp(prefix="gsrain-"))
+        self._saving: Future[None] | None = files.submit(write_scene, scene, self._folder / "scene")
+        self._worker: Job | None = None
+        self._loading: Future[Scene] | None = None
+
+    def poll(self) -> None:
+        """Go on to the next stage when the present one is through; never waits."""
+        if self.state != "running":
+            return
+        try:
+            if self._saving is not None and self._saving.done():
+                self._saving.result()
+                self._saving = None
+                self._worker = Job(TITLE, make_rainy, self._folder / "scene", self._output)
+            if self._worker is not None:
+                self._follow(self._worker)
+            if self._loading is not None and self._loading.done():
+                self.result = self._loading.result()
+                self._end("finished")
+        except Exception as error:  # whatever a disk or a worker can do: the window lives on
+            self.error = str(error)
+            self._end("failed")
+
+    def cancel(self) -> None:
+        """Stop, wherever it is; the scene stays as it was."""
+        if self.state == "running":
+            self._end("cancelled")
+
+    @property
+    def _output(self) -> Path:
+        return self._folder / "colors.npz"
+
+    def _follow(self, worker: Job) -> None:
+        worker.poll()
+        self.progress = worker.progress
+        if worker.state == "failed":
+            self.error, self.details = worker.error, worker.details
+            self._end("failed")
+        elif worker.state == "finished":
+            worker.close()
+            self._worker = None
+            self.progress = Progress(1.0, "Loading the result")
+            self._loading = self._files.submit(lambda: with_colors(self.scene, read_recolored(self._output)))
+
+    def _end(self, state: JobState) -> None:
+        self.state = state
+        if self._worker is not None:
+            self._worker.cancel()
+            self._worker.close()
+            self._worker = None
+        self._files.submit(shutil.rmtree, self._folder, ignore_errors=True)

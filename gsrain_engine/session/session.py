@@ -1,0 +1,250 @@
+"""The editor without a window: panels read it and call its methods, the live view draws what it says."""
+
+import logging
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from gsrain_engine.rain.presets import load_preset
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.rainfall import OVERCAST, Rainfall
+from gsrain_engine.render.frame import Color
+from gsrain_engine.render.scene_view import Shot
+from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.scene import Scene
+
+from .clock import Clock
+from .history import Document, History
+from .home_camera import default_path, home_camera, scene_bounds
+from .log import LogLines
+from .navigation import Navigation
+from .open_scene import open_scene
+from .rainy_look_job import RainyLookJob
+
+logger = logging.getLogger("gsrain")
+
+_VIEW_SIZE = (960, 640)  # shape of the picture that home cameras are chosen for
+
+
+@dataclass(slots=True)
+class ViewOptions:
+    """How the viewport shows things; not part of the document."""
+
+    show_streak_region: bool = False
+    show_haze_region: bool = False
+    background: Color = (0.0, 0.0, 0.0)
+    gain_ev: float = 0.0
+    """Brightens or darkens the display only."""
+    follow_path: bool = False
+    """Ride along the camera path instead of flying by hand."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StagedScene:
+    """A new scene that is shown as soon as its Gaussians are on the GPU."""
+
+    label: str
+    scene: Scene
+
+
+class Session:
+    """One open scene and everything around it. Only the main thread touches it."""
+
+    def __init__(self, scene: Scene, rain: Rain | None = None) -> None:
+        self.clock = Clock()
+        self.navigation = Navigation()
+        self.view = ViewOptions()
+        self.log = LogLines()
+        logger.addHandler(self.log)
+        self.job: RainyLookJob | None = None
+        self.staged: StagedScene | None = None
+        self.sky: Color = OVERCAST
+        self.sky_is_stale = True
+        """Whether the live view should look at the sky again."""
+        self.statistics: dict[str, float] = {}
+        """Figures of the last frame, by name: the Statistics panel shows them in this order."""
+        self.path: CameraPath | None = None
+        self.screenshot: Path | None = None
+        """Where the live view saves its next picture."""
+        self._files = ThreadPoolExecutor(max_workers=1, thread_name_prefix="files")
+        self._opening: tuple[str, Future[Scene]] | None = None
+        self._saving: tuple[Path, Future[None]] | None = None
+        self.history = History.beginning_with(Document(scene, rain or load_preset("clear")))
+        self.rainfall = Rainfall.start(self.rain)
+        self._enter_scene()
+
+    # The document
+
+    @property
+    def scene(self) -> Scene:
+        """The scene as it is now."""
+        return self.history.present.scene
+
+    @property
+    def rain(self) -> Rain:
+        """The rain as it is now."""
+        return self.history.present.rain
+
+    def change_rain(self, label: str, gesture: str | None = None, **fields: object) -> None:
+        """Change fields of the rain. Changes of one gesture (a drag) make one step; call `end_gesture` when it ends."""
+        self.set_rain(label, msgspec.structs.replace(self.rain, **fields), gesture)
+
+    def set_rain(self, label: str, rain: Rain, gesture: str | None = None) -> None:
+        """Go to another rain; drops in the air go on from where they are."""
+        if rain != self.rain:
+            self.history.record(label, self.history.present.with_rain(rain), gesture)
+            self._follow_document()
+
+    def set_scene(self, label: str, scene: Scene, gesture: str | None = None) -> None:
+        """Go to a changed version of the scene."""
+        self.history.record(label, self.history.present.with_scene(scene), gesture)
+        self._follow_document()
+
+    def show_member(self, name: str, visible: bool) -> None:
+        """Show or hide a layer (by name) or an actor (by id)."""
+        layers = tuple(replace(x, visible=visible) if x.name == name else x for x in self.scene.layers)
+        actors = tuple(replace(x, visible=visible) if x.id == name else x for x in self.scene.actors)
+        verb = "Show" if visible else "Hide"
+        self.set_scene(f"{verb} {name}", replace(self.scene, layers=layers, actors=actors))
+
+    def end_gesture(self) -> None:
+        """Say that a drag is over."""
+        self.history.end_gesture()
+
+    def undo(self) -> None:
+        """Step back."""
+        self.history.undo()
+        self._follow_document()
+
+    def redo(self) -> None:
+        """Step forward."""
+        self.history.redo()
+        self._follow_document()
+
+    # Files
+
+    def open(self, path: str) -> None:
+        """Read a scene in the background and go to it; what goes wrong is logged, and the present scene stays."""
+        if self._opening is None:
+            logger.info("Opening %s", path)
+            self._opening = path, self._files.submit(open_scene, path)
+
+    def save(self, path: Path) -> None:
+        """Write the scene, with its rain, in the background."""
+        if self._saving is None:
+            rain = msgspec.to_builtins(self.rain)
+            self._saving = path, self._files.submit(write_scene, replace(self.scene, rain=rain), path)
+
+    @property
+    def busy(self) -> str | None:
+        """What is being read or written, None when nothing is."""
+        if self._opening is not None:
+            return f"Opening {self._opening[0]}"
+        return f"Saving {self._saving[0]}" if self._saving is not None else None
+
+    # The job
+
+    def make_rainy(self) -> None:
+        """Start the job "Make it rainy (preview)"; one at a time."""
+        if self.job is None or self.job.state != "running":
+            self.job = RainyLookJob(self.scene, self._files)
+
+    def cancel_job(self) -> None:
+        """Stop the job."""
+        if self.job is not None:
+            self.job.cancel()
+
+    def swap_in(self) -> None:
+        """Show the staged scene: its Gaussians are where the next frame needs them."""
+        if self.staged is not None:
+            staged, self.staged = self.staged, None
+            self.set_scene(staged.label, staged.scene)
+            self.sky_is_stale = True
+            logger.info("%s: done", staged.label)
+
+    # Time and view
+
+    def update(self, real_s: float) -> None:
+        """Let time go by and take in what background work has finished. Once a frame."""
+        self.clock.advance(real_s)
+        self._poll_files()
+        if self.job is not None and self.job.state == "running":
+            self.job.poll()
+            if self.job.state == "finished" and self.job.result is not None:
+                self.staged = StagedScene(self.job.title, self.job.result)
+            elif self.job.state == "failed":
+                logger.error("%s failed: %s", self.job.title, self.job.error)
+
+    def shot(self, width: int, height: int, focal_scale: float = 1.0) -> Shot:
+        """What the viewport shows now; `focal_scale` is output size over drawn size."""
+        t = self.clock.time_s
+        if self.view.follow_path and self.path is not None:
+            along = t % self.path.duration_s if self.path.duration_s > 0 else 0.0
+            camera = self.path.camera(along, width, height)
+            return Shot(camera, along, self.path.velocity(along), camera.fx * focal_scale)
+        camera = self.navigation.camera(width, height)
+        return Shot(camera, t, self.navigation.velocity_m_s, camera.fx * focal_scale)
+
+    def frame_scene(self) -> None:
+        """Back off until the whole scene can be seen."""
+        self.navigation.frame(*scene_bounds(self.scene))
+
+    def go_home(self) -> None:
+        """Go to where the scene is first looked at from."""
+        camera = home_camera(self.scene, *_VIEW_SIZE)
+        self.navigation = Navigation(speed_m_s=self.navigation.speed_m_s)
+        self.navigation.look_like(camera)
+        low, high = scene_bounds(self.scene)
+        in_front = float(camera.world_to_camera[2, :3] @ ((low + high) / 2) + camera.world_to_camera[2, 3])
+        self.navigation.distance_m = float(np.clip(in_front, 1.0, 20.0))
+
+    def close(self) -> None:
+        """Stop everything that runs."""
+        self.cancel_job()
+        self._files.shutdown(wait=True, cancel_futures=True)
+        logger.removeHandler(self.log)
+
+    def _follow_document(self) -> None:
+        if self.rainfall.rain != self.rain:
+            self.rainfall = self.rainfall.changed(self.rain, self.clock.time_s)
+
+    def _enter_scene(self) -> None:
+        self.path = default_path(self.scene, *_VIEW_SIZE)
+        self.go_home()
+        self.sky_is_stale = True
+
+    def _poll_files(self) -> None:
+        if self._opening is not None and self._opening[1].done():
+            (path, future), self._opening = self._opening, None
+            try:
+                scene = future.result()
+            except (SceneFormatError, OSError) as error:
+                logger.error("%s", error)
+            else:
+                self._go_to(scene)
+                logger.info("Opened %s: %d Gaussians", path, scene.gaussian_count)
+        if self._saving is not None and self._saving[1].done():
+            (target, saved), self._saving = self._saving, None
+            try:
+                saved.result()
+            except (SceneFormatError, OSError) as error:
+                logger.error("%s", error)
+            else:
+                logger.info("Saved %s", target)
+
+    def _go_to(self, scene: Scene) -> None:
+        self.cancel_job()
+        self.staged = None
+        rain = self.rain
+        try:
+            rain = msgspec.convert(scene.rain, Rain) if scene.rain is not None else rain
+        except msgspec.ValidationError as error:
+            logger.error("%s: the scene's rain can't be used: %s", scene.name, error)
+        self.history = History.beginning_with(Document(scene, rain))
+        self._follow_document()
+        self._enter_scene()
