@@ -1,0 +1,1 @@
+"""The program: command line and window. Nothing here that another program would import."""

@@ -1,5 +1,6 @@
 """The rainy look as work for another process: scene in by folder, colours out by file."""
 
+import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from jaxtyping import Float32
 
 from gsrain_engine.reconstruct.preview_cameras import preview_cameras
 from gsrain_engine.reconstruct.rainy_preview import rainy_preview
+from gsrain_engine.reconstruct.recolored_file import read_recolored
 from gsrain_engine.scene.formats import read_scene
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
@@ -21,6 +23,15 @@ def make_rainy(scene_folder: Path, output: Path) -> Iterator[Progress]:
     yield Progress(0.0, "Reading the scene")
     scene = read_scene(scene_folder)
     yield from rainy_preview(scene, preview_cameras(scene, VIEWS), output)
+
+
+def rainy_scene(scene: Scene) -> Iterator[tuple[Progress, Scene]]:
+    """Give a scene the wet look in this process; the last pair holds the result."""
+    with tempfile.TemporaryDirectory(prefix="gsrain-") as folder:
+        output = Path(folder) / "colors.npz"
+        for progress in rainy_preview(scene, preview_cameras(scene, VIEWS), output):
+            yield progress, scene
+        yield Progress(1.0, "Done"), with_colors(scene, read_recolored(output))
 
 
 def with_colors(scene: Scene, colors: Mapping[str, Float32[np.ndarray, "n k 3"]]) -> Scene:

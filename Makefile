@@ -1,0 +1,39 @@
+# make demo: set everything up and show rain in a street.  make test: set everything up and run all checks.
+# Works on a fresh Debian machine with Python 3.11, pip, make and git.
+
+PYTHON ?= python3
+VENV ?= .venv
+RUN = $(VENV)/bin
+OUT ?= out
+
+.PHONY: demo test lint setup system clean
+
+demo: setup
+	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
+		$(RUN)/gsrain --preset 8.5; \
+	else \
+		$(RUN)/gsrain render -o $(OUT)/demo.mp4 --rain 8.5 --wet --duration 6 && \
+		echo "The video is at $(CURDIR)/$(OUT)/demo.mp4 (no display here; with one, make demo opens the window)"; \
+	fi
+
+test: setup lint
+	$(RUN)/python -m pytest
+
+lint: setup
+	$(RUN)/ruff check .
+	$(RUN)/lint-imports
+	$(RUN)/pyright --pythonpath $(RUN)/python
+
+setup: system $(VENV)/.installed
+
+$(VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "GSRAIN needs Python 3.11 or newer: make PYTHON=python3.11")'
+	$(PYTHON) -m venv $(VENV)
+	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	@touch $@
+
+system:
+	@PYTHON="$(PYTHON)" sh ./system_packages.sh
+
+clean:
+	rm -rf $(VENV) $(OUT)

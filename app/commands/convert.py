@@ -1,0 +1,20 @@
+"""`gsrain convert IN OUT`: from one scene format to another."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.session.open_scene import open_scene
+
+
+def convert(
+    source: Annotated[str, Parameter(help="Scene file or folder: .ply .compressed.ply .splat .spz .ksplat .sog.")],
+    target: Annotated[Path, Parameter(help="File to write (.ply .splat .spz), or a folder for a scene folder.")],
+    /,
+) -> None:
+    """Convert a scene. A single file gets all visible layers, and actors where they stand at time 0."""
+    scene = open_scene(source)
+    write_scene(scene, target)
+    print(f"{target}: {scene.gaussian_count:,} Gaussians")

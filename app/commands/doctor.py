@@ -1,0 +1,113 @@
+"""`gsrain doctor`: what this machine has, what is missing, and how to get it."""
+
+import importlib.util
+import os
+import sys
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from .arguments import JsonFile, write_numbers
+
+
+class Finding(NamedTuple):
+    """One thing that was looked for."""
+
+    name: str
+    found: bool
+    what: str
+    """What was found, or how to get it."""
+
+
+def doctor(*, json: JsonFile = None) -> int:
+    """Look for everything that GSRAIN can use. Exit code 1 when something that it needs is missing."""
+    needed = [_opengl(), _video(), _threads()]
+    optional = [_osmesa(), _display(), _module("torch", "heavy jobs", "jobs"), _cuda()]
+    for finding in (*needed, *optional):
+        mark = "ok     " if finding.found else ("MISSING" if finding in needed else "absent ")
+        print(f"{mark} {finding.name}: {finding.what}")
+    write_numbers(json, {each.name: {"found": each.found, "what": each.what} for each in (*needed, *optional)})
+    return 0 if all(each.found for each in needed) else 1
+
+
+def _tried(name: str, attempt: Callable[[], str], remedy: str) -> Finding:
+    try:
+        return Finding(name, True, attempt())
+    except Exception as error:  # a missing library fails in its own way: its words are the finding
+        return Finding(name, False, f"{error} {remedy}".strip())
+
+
+def _opengl() -> Finding:
+    return _tried("OpenGL without a window (EGL)", lambda: _describe_context("egl"), "")
+
+
+def _osmesa() -> Finding:
+    return _tried(
+        "OSMesa (stands in where EGL is missing)",
+        lambda: _describe_context("osmesa"),
+        "Optional; on Debian 12: apt-get install libosmesa6",
+    )
+
+
+def _describe_context(source: str) -> str:
+    from gsrain_engine.render.context import is_software, open_context
+
+    context = open_context("egl" if source == "egl" else "osmesa")
+    with context:
+        kind = "software" if is_software(context) else "GPU"
+        return f"{context.info['GL_RENDERER']}, OpenGL {context.version_code / 100:.1f} ({kind})"
+
+
+def _video() -> Finding:
+    def encoders() -> str:
+        import av
+
+        names = [name for name in ("libx264", "libvpx-vp9") if name in av.codecs_available]
+        return f"PyAV {av.__version__} with {', '.join(names)}"
+
+    return _tried("video", encoders, "pip install av")
+
+
+def _threads() -> Finding:
+    def layer() -> str:
+        import numba
+
+        @numba.njit(parallel=True)
+        def count(values: np.ndarray) -> float:
+            total = 0.0
+            for i in numba.prange(len(values)):
+                total += values[i]
+            return total
+
+        count(np.ones(8))
+        name = numba.threading_layer()
+        slow = "" if name != "workqueue" else " (kernels run one at a time: apt-get install libgomp1 for better)"
+        return f"Numba {numba.__version__}, {name}, {numba.get_num_threads()} threads{slow}"
+
+    return _tried("compiled kernels", layer, "On Debian: apt-get install libgomp1")
+
+
+def _display() -> Finding:
+    if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        return Finding("display", True, "the window can open")
+    return Finding("display", False, "no DISPLAY: rendering to files works, the window does not")
+
+
+def _module(name: str, purpose: str, extra: str) -> Finding:
+    found = importlib.util.find_spec(name) is not None
+    return Finding(name, found, f"for {purpose}" if found else f"not installed; {purpose} need it: pip install gsrain[{extra}]")
+
+
+def _cuda() -> Finding:
+    if importlib.util.find_spec("torch") is None:
+        return Finding("CUDA", False, "not looked for: torch is not installed")
+
+    def device() -> str:
+        import torch
+
+        if not torch.cuda.is_available():
+            raise RuntimeError("torch sees no CUDA device; jobs run on the processor.")
+        return torch.cuda.get_device_name()
+
+    return _tried("CUDA", device, "")
