@@ -1,0 +1,350 @@
+"""Cars in the object frame (x forward, y left, z up, origin at the bottom centre): lofted bodies on four wheels."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from .grids import graded_lines, patch
+from .labels import Label
+from .layout import CarShape, StreetLayout
+from .quads import Quads
+
+_GLASS = (0.018, 0.02, 0.022)
+_TYRE = (0.018, 0.018, 0.019)
+_RIM = (0.36, 0.36, 0.37)
+_TRIM = (0.022, 0.022, 0.024)
+_PAINT_GLOSS, _GLASS_GLOSS = 0.17, 0.36
+_SMOOTH = 1.1
+"""Gaussians of a car are this much wider than elsewhere: paint shows every gap."""
+_SHADOW_HEIGHT_M = 0.06
+"""High enough that shadows are sorted before the road that they darken."""
+
+
+@dataclass(frozen=True, slots=True)
+class CarForm:
+    """The outline of a car, in metres; x counts from the middle."""
+
+    length: float
+    width: float
+    height: float
+    hood: tuple[float, float]
+    """Height of the body at its front and where the windscreen begins."""
+    tail: tuple[float, float]
+    """Height of the body at its rear and where the rear window begins."""
+    belt: tuple[float, float]
+    """Rear and front end of the glass house at the belt line, x."""
+    roof: tuple[float, float]
+    """Rear and front end of the roof, x."""
+    wheels: tuple[float, float]
+    """Rear and front axle, x."""
+    pillar: float
+    """The pillar between front and rear doors, x."""
+    wheel_radius: float = 0.32
+
+
+CAR_FORMS: dict[CarShape, CarForm] = {
+    "hatchback": CarForm(
+        4.05, 1.76, 1.46, (0.70, 0.96), (0.86, 0.97), (-1.86, 1.02), (-1.48, 0.18), (-1.22, 1.30), -0.28
+    ),
+    "saloon": CarForm(4.66, 1.82, 1.43, (0.68, 0.94), (0.90, 0.98), (-1.62, 1.00), (-0.95, 0.12), (-1.35, 1.45), -0.30),
+    "estate": CarForm(4.62, 1.80, 1.49, (0.69, 0.95), (0.88, 0.97), (-2.16, 1.02), (-1.88, 0.15), (-1.32, 1.42), -0.26),
+    "van": CarForm(
+        4.55, 1.84, 1.84, (0.80, 1.08), (1.02, 1.10), (-2.12, 1.35), (-1.98, 0.62), (-1.30, 1.45), -0.05, 0.33
+    ),
+}
+"""The shapes that stand in the street."""
+
+
+def build_parked_cars(layout: StreetLayout) -> Quads:
+    """Build all parked cars, in the world; each shape is made once and painted anew."""
+    return Quads.joined(
+        build_car(car.shape, car.paint, fine=1.35).placed((car.x, car.y, 0.0), car.turn_deg) for car in layout.cars
+    )
+
+
+def build_car(shape: CarShape, paint: tuple[float, float, float], fine: float = 1.0) -> Quads:
+    """Build one car in the object frame. `fine` scales its cells: 1 is for a car seen from near."""
+    form = CAR_FORMS[shape]
+    outline = _outline(form, fine)
+    parts = [
+        _skirt(form, outline, paint),
+        _deck(form, outline, paint),
+        _glass_house(form, paint, fine),
+        *_wheels(form, fine),
+        *_details(form, paint, fine),
+        _underside(form),
+    ]
+    car = Quads.joined(parts)
+    return replace(car, spread=_SMOOTH * car.spread)
+
+
+def car_shadow(shape: CarShape) -> Quads:
+    """Build the soft dark patch that a moving car carries along on the ground."""
+    form = CAR_FORMS[shape]
+    x = np.linspace(-0.5 * form.length - 0.5, 0.5 * form.length + 0.4, 30)
+    y = np.linspace(-0.5 * form.width - 0.75, 0.5 * form.width + 0.35, 18)
+    points = np.stack(np.broadcast_arrays(x[:, None], y[None, :], _SHADOW_HEIGHT_M), axis=2)
+    shadow = patch(points, 0.012, Label.ROAD, spread=0.8)
+    center = shadow.centers
+    outside = np.maximum(np.abs(center[:, 0]) - 0.5 * form.length + 0.12, 0)
+    left = np.maximum(center[:, 1] - 0.5 * form.width + 0.15, 0)
+    right = np.maximum(-center[:, 1] - 0.5 * form.width - 0.15, 0)
+    fade = np.exp(-((np.hypot(outside, np.maximum(left, right)) / 0.28) ** 2))
+    return replace(shadow, opacity=(0.55 * fade).astype(np.float32)).take(fade > 0.02)
+
+
+def _outline(form: CarForm, fine: float) -> Float64[np.ndarray, "n 2"]:
+    """Trace the body seen from above, counter-clockwise from the middle of the tail: a superellipse, evenly stepped."""
+    angle = np.linspace(-np.pi, np.pi, 4001)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x = 0.5 * form.length * np.sign(cosine) * np.abs(cosine) ** (2 / 6.5)
+    y = 0.5 * form.width * np.sign(sine) * np.abs(sine) ** (2 / 4.2)
+    step = np.hypot(np.diff(x), np.diff(y))
+    weight = np.diff(x) / np.maximum(step, 1e-9)
+    near = np.min(np.abs(0.5 * (x[1:] + x[:-1])[:, None] - np.array(form.wheels)), axis=1) < form.wheel_radius + 0.1
+    density = np.where(near & (np.abs(weight) > 0.9), 1 / 0.055, 1 / 0.13) / fine
+    reached = np.concatenate([[0], np.cumsum(step * density)])
+    count = 2 * round(reached[-1] / 2)
+    at = np.interp(np.linspace(0, reached[-1], count + 1), reached, np.arange(len(angle)))
+    flank = np.abs(y[:-1]) > 0.4 * form.width
+    for line in (door + e for door in _shut_lines(form) for e in (-0.008, 0.008)):  # columns of their own
+        crossed = np.flatnonzero(flank & ((x[:-1] - line) * (x[1:] - line) <= 0))
+        at = np.concatenate([at[np.min(np.abs(at[:, None] - crossed), axis=1) > 6], crossed + 0.5])
+    at = np.sort(at)
+    return np.stack([np.interp(at, np.arange(len(angle)), x), np.interp(at, np.arange(len(angle)), y)], axis=1)
+
+
+def _shut_lines(form: CarForm) -> tuple[float, float, float]:
+    """Where doors meet each other and the body, x."""
+    return form.pillar, form.belt[1] - 0.32, max(form.belt[0] + 0.75, form.wheels[0] + form.wheel_radius + 0.12)
+
+
+def _top(form: CarForm, x: Any) -> Any:
+    """Height of the body's shoulder: rising hood, level doors, tail."""
+    half = 0.5 * form.length
+    xs = [-half, form.belt[0] - 0.05, form.belt[0] + 0.35, form.belt[1] - 0.3, form.belt[1], half - 0.35, half]
+    zs = [form.tail[0], form.tail[1], 0.5 * (form.tail[1] + form.hood[1]), form.hood[1] - 0.01, form.hood[1] - 0.03,
+          form.hood[0] + 0.12, form.hood[0]]  # fmt: skip
+    return np.interp(x, xs, zs)
+
+
+def _foot(form: CarForm, x: Any, y: Any) -> Any:
+    """Lower edge of the body: the sill, lifted over the wheels on the body's flanks."""
+    foot = np.full_like(x, 0.23) + 0.04 * (np.abs(x) > 0.5 * form.length - 0.3)
+    arch = form.wheel_radius + 0.055
+    for axle in form.wheels:
+        over = np.sqrt(np.maximum(arch**2 - (x - axle) ** 2, 0)) + form.wheel_radius
+        foot = np.where((np.abs(x - axle) < arch) & (np.abs(y) > 0.3 * form.width), np.maximum(foot, over), foot)
+    return foot
+
+
+def _skirt(form: CarForm, outline: Float64[np.ndarray, "n 2"], paint: Any) -> Quads:
+    """Build flanks, front and rear: the outline drawn upwards, bulging at its middle."""
+    x, y = outline.T
+    foot, top = _foot(form, x, y), _top(form, x)
+    rows = np.array([0.0, 0.12, 0.26, 0.42, 0.56, 0.70, 0.84, 0.94, 1.0])
+    # Rows at the heights of an uncut body; over the wheels they are pushed up to the arch.
+    z = np.maximum(0.23 + rows * (top - 0.23)[:, None], foot[:, None])
+    absolute = (z - 0.23) / (top[:, None] - 0.23)
+    inset = 0.055 * np.maximum(0.32 - absolute, 0) / 0.32 + 0.075 * np.maximum(absolute - 0.62, 0) ** 2 / 0.1444
+    inset = inset - 0.012 * np.exp(-(((absolute - 0.60) / 0.05) ** 2))
+    shrink = 1 - inset / (0.5 * form.width)
+    lengthwise = 1 - inset * 0.9 / (0.5 * form.length)
+    points = np.stack([x[:, None] * lengthwise, y[:, None] * shrink, z], axis=2)
+    quads = patch(points, paint, Label.CAR, closed=True, gloss=_PAINT_GLOSS)
+    quads = quads.take(np.linalg.norm(quads.corners[:, 2] - quads.corners[:, 0], axis=1) > 0.02)
+    quads = quads.take(_cell_area(quads) > 0.012 * np.linalg.norm(quads.corners[:, 2] - quads.corners[:, 0], axis=1))
+    center = quads.centers
+    black = center[:, 2] < 0.30
+    lower = np.clip((center[:, 2] - 0.2) / 0.5, 0, 1)
+    albedo = np.where(black[:, None], _TRIM, quads.albedo)
+    for door in _shut_lines(form):
+        line = (np.abs(center[:, 0] - door) < 0.009) & (np.abs(center[:, 1]) > 0.4 * form.width)
+        albedo = np.where((line & (center[:, 2] > 0.33))[:, None], 0.3 * albedo, albedo)
+    return Quads.of(
+        quads.corners, albedo, Label.CAR, spread=quads.spread, gloss=np.where(black, 0.04, _PAINT_GLOSS),
+        sky_access=0.35 + 0.65 * lower,
+    )  # fmt: skip
+
+
+def _cell_area(quads: Quads) -> Any:
+    diagonals = quads.corners[:, 2] - quads.corners[:, 0], quads.corners[:, 3] - quads.corners[:, 1]
+    return 0.5 * np.linalg.norm(np.cross(*diagonals), axis=1)
+
+
+def _deck(form: CarForm, outline: Float64[np.ndarray, "n 2"], paint: Any) -> Quads:
+    """Build hood and tail: from the shoulder to the middle of the car, slightly domed."""
+    x, y = outline.T
+    top = _top(form, x)
+    rows = np.array([0.0, 0.08, 0.22, 0.45, 0.72, 1.0])
+    in_x = x * (1 - 0.075 * 0.9 / (0.5 * form.length))
+    in_y = y * (1 - 0.075 / (0.5 * form.width))
+    level = (
+        top[:, None] + 0.055 * (1 - (1 - rows) ** 2.2) * np.clip((0.5 * form.length - np.abs(x)) / 0.3, 0.1, 1)[:, None]
+    )
+    points = np.stack(np.broadcast_arrays(in_x[:, None], in_y[:, None] * (1 - rows), level), axis=2)
+    middle = 0.5 * (x[1:] + x[:-1])
+    open_to_sky = (middle > form.belt[1] - 0.25) | (middle < form.belt[0] + 0.2)
+    # Front and rear rows of the outline run across the car: there the deck would be a sliver.
+    keep = np.repeat(open_to_sky[:, None], len(rows) - 1, axis=1)
+    keep[:, 0] = True  # the shoulder beside the windows
+    return patch(points, paint, Label.CAR, keep=keep, closed=True, gloss=_PAINT_GLOSS + 0.06)
+
+
+def _glass_house(form: CarForm, paint: Any, fine: float) -> Quads:
+    """Build windows, pillars and roof: a loft from the belt line to the roof, then the roof's shell."""
+    corner = 0.16
+    rear, front = form.belt
+    belt_y, roof_y = 0.5 * form.width - 0.105, 0.5 * form.width - 0.27
+    across = np.array([-1.0, -0.86, -0.5, 0.0, 0.5, 0.86, 1.0])
+    span = front - rear
+    pillar = (form.pillar - rear) / span
+    stops = [
+        0.0,
+        corner / span * 1.2,
+        pillar - 0.05 / span * 1.4,
+        pillar + 0.05 / span * 1.4,
+        1 - corner / span * 1.5,
+        1.0,
+    ]
+    along = graded_lines(stops, 0.09 * fine / span, 0.17 * fine / span)
+    # Counter-clockwise from the rear right: right side forwards, windscreen, left side back, rear window.
+    right = np.stack([along, -np.ones_like(along)], axis=1)
+    ahead = np.stack([np.ones_like(across), across], axis=1)
+    left, behind = -right * [-1, 1], ahead * [0, -1]
+    loop = np.concatenate([right, ahead[1:], left[::-1][1:], behind[1:]])
+    side = np.concatenate([np.zeros(len(along) - 1), np.ones(6), np.full(len(along) - 1, 2), np.full(6, 3)])
+    rows = np.array([0.0, 0.10, 0.32, 0.58, 0.80, 0.92, 1.0, 1.0])
+    lean = np.array([0.0, 0.10, 0.32, 0.58, 0.80, 0.93, 1.06, 1.14])
+    base = np.minimum(_top(form, rear + loop[:, 0] * span), form.hood[1] + 0.02) - 0.01
+    crown = form.height - 0.035
+    z = base[:, None] + rows * (crown - base)[:, None]
+    z[:, -1] += 0.018
+    belt_x, roof_x = rear + loop[:, 0] * span, form.roof[0] + loop[:, 0] * (form.roof[1] - form.roof[0])
+    bow = 1 - 0.10 * np.abs(loop[:, 1]) ** 3 * np.abs(2 * loop[:, 0] - 1) ** 6
+    px = belt_x[:, None] + lean * (roof_x - belt_x)[:, None]
+    curve = 0.06 * (1 - loop[:, 1] ** 2) * np.where(loop[:, 0] > 0.5, 1, -0.6) * (np.abs(2 * loop[:, 0] - 1) > 0.99)
+    px = px + curve[:, None]
+    py = (loop[:, 1] * bow)[:, None] * (belt_y + lean * (roof_y - belt_y))
+    points = np.stack([px, py, z], axis=2)
+    i, j = len(loop) - 1, len(rows) - 1
+    part = 0.5 * (loop[1:, 0] + loop[:-1, 0])
+    wide = 0.5 * np.abs(loop[1:, 1] + loop[:-1, 1])
+    on_side = (side == 0) | (side == 2)
+    post = (part < stops[1]) | (part > stops[4]) | ((part > stops[2]) & (part < stops[3]))
+    window = np.where(on_side, ~post, wide < 0.86)[:, None] & (np.arange(j) >= 1) & (np.arange(j) < 4)
+    window |= (~on_side & (wide < 0.86))[:, None] & (np.arange(j) < 5)
+    middle_post = on_side & (part > stops[2]) & (part < stops[3])
+    glass = window.reshape(-1)
+    albedo = np.where(window[..., None], _GLASS, np.where(middle_post[:, None, None], _TRIM, np.asarray(paint)))
+    walls = patch(points, albedo.reshape(i * j, 3), Label.CAR, closed=True,
+                  gloss=np.where(glass, _GLASS_GLOSS, _PAINT_GLOSS))  # fmt: skip
+    return Quads.joined([walls, _roof(points[:, -1], form, paint)])
+
+
+def _roof(rim: Float64[np.ndarray, "n 3"], form: CarForm, paint: Any) -> Quads:
+    """Close the roof from its rim to the middle line, domed."""
+    rows = np.array([0.0, 0.2, 0.5, 0.8, 1.0])
+    middle_x = np.clip(rim[:, 0], form.roof[0] + 0.3, form.roof[1] - 0.25)
+    x = rim[:, :1] + rows * (middle_x - rim[:, 0])[:, None]
+    y = rim[:, 1:2] * (1 - rows)
+    z = rim[:, 2:] + (form.height - rim[:, 2:]) * (1 - (1 - rows) ** 2)
+    return patch(np.stack([x, y, z], axis=2), paint, Label.CAR, closed=True, gloss=_PAINT_GLOSS + 0.08)
+
+
+def _wheels(form: CarForm, fine: float) -> list[Quads]:
+    sides = 20 if fine < 1.2 else 14
+    angle = np.linspace(0, 2 * np.pi, sides + 1)
+    r = form.wheel_radius
+    radii = np.array([0.0, 0.06, 0.13, 0.205, 0.225, 0.275, 0.315, r])
+    radii = radii * r / 0.32
+    depth = np.array([0.035, 0.035, 0.03, 0.02, 0.0, 0.0, 0.012, 0.19])
+    ring = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
+    points = radii[None, :, None] * ring[:, None] - depth[None, :, None] * np.array([0, -1.0, 0])
+    spokes = (np.arange(sides) % 4 < 2)[:, None]
+    ringed = np.arange(len(radii) - 1)[None]
+    metal = np.where(ringed == 0, 0.9, np.where(spokes & (ringed < 3), 1.0, np.where(ringed == 3, 0.95, 0.16)))
+    albedo = np.where((ringed < 4)[..., None], metal[..., None] * np.asarray(_RIM), _TYRE)
+    albedo = np.broadcast_to(albedo, (sides, len(radii) - 1, 3)).reshape(-1, 3)
+    wheel = patch(points, albedo, Label.CAR, closed=True, sky_access=0.6, gloss=0.04)
+    tread = wheel.placed((0, -0.5 * form.width + 0.035, r))
+    mirrored = wheel.placed((0, 0, 0), 180.0).placed((0, 0.5 * form.width - 0.035, r))
+    parts = [each.placed((axle, 0, 0)) for axle in form.wheels for each in (tread, mirrored)]
+    arch = form.wheel_radius + 0.05
+    half = np.linspace(0.04 * np.pi, 0.96 * np.pi, 9)
+    for axle in form.wheels:  # the dark of the wheel wells
+        for side in (-1, 1):
+            y = side * np.array([0.5 * form.width - 0.06, 0.5 * form.width - 0.34])
+            well = np.stack(
+                np.broadcast_arrays(axle + arch * np.cos(half)[:, None], y, r + arch * np.sin(half)[:, None]), axis=2
+            )
+            parts.append(patch(well if side < 0 else well[::-1], 0.008, Label.CAR, sky_access=0.15, sun_access=0.0))
+            back = np.stack(
+                np.broadcast_arrays(
+                    axle + np.linspace(-0.94 * arch, 0.94 * arch, 6)[:, None], side * (0.5 * form.width - 0.30),
+                    np.linspace(0.3, r + 0.7 * arch, 5)[None],
+                ), axis=2,
+            )  # fmt: skip
+            parts.append(patch(back if side < 0 else back[::-1], 0.006, Label.CAR, sky_access=0.1, sun_access=0.0))
+    return parts
+
+
+def _details(form: CarForm, paint: Any, fine: float) -> list[Quads]:
+    """Lamps, grille, number plates, bumpers' dark inserts, mirrors."""
+    half = 0.5 * form.width
+    z = form.hood[0]
+    parts: list[Quads] = []
+    for side in (-1, 1):
+        parts.append(_badge(form, 1, side * 0.62 * half, z - 0.09, 0.46 * half, 0.115, (0.72, 0.74, 0.76), 0.3, fine))
+        tall = 0.17 if form.height < 1.7 else 0.42
+        parts.append(
+            _badge(
+                form, -1, side * 0.73 * half, form.tail[0] - 0.10, 0.36 * half, tall, (0.30, 0.004, 0.004), 0.06, fine
+            )
+        )
+        parts.append(_mirror(form.belt[1] - 0.40, side * (half + 0.035), form.hood[1] + 0.045, paint))
+    parts.append(_badge(form, 1, 0.0, z - 0.12, 0.62 * half, 0.10, _TRIM, 0.1, fine))
+    parts.append(_badge(form, 1, 0.0, 0.36, 1.05 * half, 0.15, _TRIM, 0.05, fine))
+    parts.append(_badge(form, -1, 0.0, 0.34, 1.2 * half, 0.13, _TRIM, 0.05, fine))
+    parts.append(_badge(form, 1, 0.0, 0.47, 0.52, 0.11, (0.78, 0.78, 0.74), 0.05, fine, out=0.05))
+    rear_plate = form.tail[0] - 0.24 if form.height < 1.7 else 0.75
+    parts.append(_badge(form, -1, 0.0, rear_plate, 0.52, 0.11, (0.78, 0.78, 0.74), 0.05, fine, out=0.05))
+    return parts
+
+
+def _mirror(x: float, y: float, z: float, paint: Any) -> Quads:
+    """A wing mirror: an egg with its glass at the back."""
+    turn = np.linspace(0, 2 * np.pi, 10)[:, None]
+    along = np.cos(np.linspace(0, np.pi, 6))[None]
+    wide = np.sqrt(np.maximum(1 - along**2, 0.0009))
+    points = np.stack(
+        [x + 0.06 * along + 0 * turn, y + 0.095 * wide * np.cos(turn), z + 0.062 * wide * np.sin(turn)], axis=2
+    )
+    egg = patch(points[::-1], paint, Label.CAR, closed=True, gloss=_PAINT_GLOSS)
+    return egg.tinted(np.where(egg.centers[:, 0] < x - 0.045, 0.2, 1.0)[:, None])
+
+
+def _badge(
+    form: CarForm, end: int, y: float, z: float, width: float, height: float, albedo: Any, gloss: float, fine: float,
+    out: float = 0.045,
+) -> Quads:  # fmt: skip
+    """Lay a coloured rectangle on the curved front (end 1) or rear (-1), centred at (y, z)."""
+    yy = graded_lines([y - 0.5 * width, y + 0.5 * width], 0.05 * fine, 0.12 * fine)
+    zz = np.linspace(z - 0.5 * height, z + 0.5 * height, max(3, round(height / 0.06) + 1))
+    part = np.clip(np.abs(yy) / (0.5 * form.width * 0.975), 0, 0.995)
+    reach = 0.5 * form.length * (1 - part**4.2) ** (1 / 6.5)
+    up = (zz - 0.23) / (float(_top(form, end * 0.5 * form.length)) - 0.23)
+    inset = 0.055 * np.maximum(0.32 - up, 0) / 0.32 + 0.075 * np.maximum(up - 0.62, 0) ** 2 / 0.1444
+    inset = np.minimum(inset - 0.012 * np.exp(-(((up - 0.60) / 0.05) ** 2)), 0.09)
+    x = end * (reach[:, None] * (1 - inset * 0.9 / (0.5 * form.length)) + out)
+    points = np.stack(np.broadcast_arrays(x, yy[:, None], zz[None]), axis=2)
+    return patch(points if end > 0 else points[::-1], albedo, Label.CAR, gloss=gloss)
+
+
+def _underside(form: CarForm) -> Quads:
+    x = np.linspace(-0.5 * form.length + 0.12, 0.5 * form.length - 0.12, 10)
+    y = np.linspace(-0.5 * form.width + 0.12, 0.5 * form.width - 0.12, 5)
+    points = np.stack(np.broadcast_arrays(x[:, None], y[None], 0.21), axis=2)
+    return patch(points[::-1], 0.01, Label.CAR, sky_access=0.1, sun_access=0.0)

@@ -1,0 +1,238 @@
+"""The plan of the street: which houses, trees, cars and lamps stand where. Everything else is built from it."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from .parameters import StreetParameters
+
+KERB_HEIGHT_M = 0.12
+HOUSE_DEPTH_M = 10.0
+CROSS_ROAD_M = 8.0
+"""Width between the kerbs of the two streets that cross at the ends."""
+CROSS_PAVEMENT_M = 2.6
+CROSS_LENGTH_M = 36.0
+"""How far the cross streets reach to each side of the axis."""
+CROSSING_LENGTH_M = 3.0
+
+CarShape = Literal["hatchback", "saloon", "estate", "van"]
+Wall = Literal["plaster", "brick", "stone"]
+
+_WALLS: tuple[tuple[Wall, tuple[float, float, float]], ...] = (
+    ("plaster", (0.56, 0.47, 0.33)),  # ochre
+    ("plaster", (0.60, 0.56, 0.48)),  # cream
+    ("brick", (0.30, 0.125, 0.085)),  # red brick
+    ("plaster", (0.46, 0.27, 0.20)),  # terracotta
+    ("plaster", (0.40, 0.45, 0.44)),  # grey green
+    ("stone", (0.43, 0.39, 0.32)),  # sandstone
+    ("plaster", (0.52, 0.40, 0.35)),  # old rose
+    ("brick", (0.36, 0.22, 0.14)),  # yellow brown brick
+    ("plaster", (0.35, 0.42, 0.50)),  # pale blue
+    ("plaster", (0.62, 0.60, 0.57)),  # white
+)
+_ROOFS = ((0.26, 0.10, 0.065), (0.20, 0.085, 0.06), (0.10, 0.105, 0.12), (0.14, 0.12, 0.11), (0.29, 0.14, 0.09))
+_SIGNS = ((0.06, 0.13, 0.10), (0.22, 0.03, 0.03), (0.03, 0.06, 0.16), (0.05, 0.05, 0.055), (0.30, 0.20, 0.05))
+_DOORS = ((0.10, 0.045, 0.02), (0.02, 0.06, 0.045), (0.02, 0.035, 0.07), (0.13, 0.02, 0.02), (0.05, 0.05, 0.05))
+_PAINTS = (
+    (0.45, 0.45, 0.46),  # silver
+    (0.03, 0.03, 0.034),  # black
+    (0.62, 0.62, 0.61),  # white
+    (0.025, 0.05, 0.12),  # blue
+    (0.20, 0.014, 0.014),  # red
+    (0.13, 0.14, 0.15),  # graphite
+    (0.03, 0.07, 0.05),  # green
+    (0.36, 0.33, 0.27),  # sand
+)
+
+
+@dataclass(frozen=True, slots=True)
+class House:
+    """A house in its own frame: x along the front, y into the house, z up, origin at the front's first foot."""
+
+    origin: tuple[float, float, float]
+    turn_deg: float
+    width: float
+    floors: int
+    """Floors above the ground floor."""
+    ground_height: float
+    floor_height: float
+    wall: Wall
+    color: tuple[float, float, float]
+    roof_color: tuple[float, float, float]
+    accent: tuple[float, float, float]
+    """Shop sign and awning."""
+    door_color: tuple[float, float, float]
+    shop: bool
+    dormers: bool
+    balconies: bool
+    pitch_deg: float
+    detail: float
+    """1 beside the drive line, larger where cells may be coarser."""
+    seed: int
+
+    @property
+    def eaves(self) -> float:
+        """Height of the front wall."""
+        return self.ground_height + self.floors * self.floor_height + 0.35
+
+    @property
+    def ridge(self) -> float:
+        """Height of the roof's ridge, above the middle of the house."""
+        return self.eaves + 0.5 * HOUSE_DEPTH_M * float(np.tan(np.radians(self.pitch_deg)))
+
+
+@dataclass(frozen=True, slots=True)
+class Tree:
+    """A tree on the pavement."""
+
+    x: float
+    y: float
+    crown_base: float
+    height: float
+    radius: float
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class ParkedCar:
+    """A car at the kerb; heading +x or -x."""
+
+    x: float
+    y: float
+    turn_deg: float
+    shape: CarShape
+    paint: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class StreetLayout:
+    """Everything that stands in the street."""
+
+    parameters: StreetParameters
+    left: tuple[House, ...]
+    right: tuple[House, ...]
+    ends: tuple[House, ...]
+    trees: tuple[Tree, ...]
+    cars: tuple[ParkedCar, ...]
+    lamps: tuple[tuple[float, float], ...]
+    """Feet (x, y) of the street lamps."""
+    crossings: tuple[float, ...]
+    """Where zebra crossings begin along x."""
+
+
+def plan_street(parameters: StreetParameters) -> StreetLayout:
+    """Decide what stands where; the same parameters give the same plan."""
+    p = parameters
+    crossings = tuple(float(x) for x in (34.0, 106.0) if x + 12.0 < p.end_x_m)
+    left, right = (_row(p, side, np.random.default_rng([p.seed, 1, side])) for side in (0, 1))
+    trees = _trees(p, crossings, np.random.default_rng([p.seed, 2]))
+    return StreetLayout(
+        parameters=p,
+        left=left,
+        right=right,
+        ends=_ends(p, np.random.default_rng([p.seed, 3])),
+        trees=trees,
+        cars=_cars(p, crossings, np.random.default_rng([p.seed, 4])),
+        lamps=tuple(
+            (float(x), (p.kerb_y_m + 0.45) * (-1) ** k)
+            for k, x in enumerate(np.arange(p.start_x_m + 9.5, p.end_x_m - 4, 22.0))
+        ),
+        crossings=crossings,
+    )
+
+
+def _house(rng: np.random.Generator, origin: tuple[float, float, float], turn: float, width: float, kind: int) -> House:
+    """Draw the looks of one house; `kind` walks through the palette so that neighbours differ."""
+    wall, color = _WALLS[kind % len(_WALLS)]
+    vary = rng.uniform(0.9, 1.08)
+    return House(
+        origin=origin,
+        turn_deg=turn,
+        width=width,
+        floors=int(rng.choice([2, 3, 3, 4])),
+        ground_height=float(rng.uniform(3.5, 3.9)),
+        floor_height=float(rng.uniform(2.95, 3.25)),
+        wall=wall,
+        color=(color[0] * vary, color[1] * vary, color[2] * vary),
+        roof_color=_ROOFS[int(rng.integers(len(_ROOFS)))],
+        accent=_SIGNS[int(rng.integers(len(_SIGNS)))],
+        door_color=_DOORS[int(rng.integers(len(_DOORS)))],
+        shop=bool(rng.random() < 0.45),
+        dormers=bool(rng.random() < 0.5),
+        balconies=bool(rng.random() < 0.4),
+        pitch_deg=float(rng.uniform(36, 46)),
+        detail=1.0,
+        seed=int(rng.integers(2**31)),
+    )
+
+
+def _widths(rng: np.random.Generator, length: float) -> list[float]:
+    count = max(1, round(length / 10.8))
+    widths = rng.uniform(0.78, 1.22, count)
+    return [float(w) for w in widths * length / widths.sum()]
+
+
+def _row(p: StreetParameters, side: int, rng: np.random.Generator) -> tuple[House, ...]:
+    """One side of the street, from the start to the end; side 0 is on the left (y > 0)."""
+    houses: list[House] = []
+    x, kind = p.start_x_m, int(rng.integers(10))
+    for width in _widths(rng, p.length_m):
+        front = p.front_y_m
+        origin = (x, front, KERB_HEIGHT_M) if side == 0 else (x + width, -front, KERB_HEIGHT_M)
+        house = _house(rng, origin, 0.0 if side == 0 else 180.0, width, kind)
+        # The left row is farther from the ego lane.
+        far = x + width < -6 or x > p.end_x_m - 25
+        houses.append(replace(house, detail=1.5 if far else (1.3 if side == 0 else 1.0)))
+        x += width
+        kind += int(rng.choice([1, 3, 7]))
+    return tuple(houses)
+
+
+def _ends(p: StreetParameters, rng: np.random.Generator) -> tuple[House, ...]:
+    """Rows of houses that close the view at both ends."""
+    houses: list[House] = []
+    offset = CROSS_ROAD_M + 2 * CROSS_PAVEMENT_M
+    for at, turn, detail in ((p.end_x_m + offset, -90.0, 1.5), (p.start_x_m - offset, 90.0, 2.2)):
+        y, kind = -CROSS_LENGTH_M, int(rng.integers(10))
+        for width in _widths(rng, 2 * CROSS_LENGTH_M):
+            origin = (at, y + width if turn < 0 else y, KERB_HEIGHT_M)
+            away = abs(y + width / 2) > 16
+            houses.append(replace(_house(rng, origin, turn, width, kind), detail=2.4 if away else detail))
+            y += width
+            kind += int(rng.choice([1, 3, 7]))
+    return tuple(houses)
+
+
+def _trees(p: StreetParameters, crossings: tuple[float, ...], rng: np.random.Generator) -> tuple[Tree, ...]:
+    trees: list[Tree] = []
+    for side in (1, -1):
+        first = p.start_x_m + (6.0 if side > 0 else 0.55 * p.tree_spacing_m + 6.0)
+        for x in np.arange(first, p.end_x_m - 3, p.tree_spacing_m):
+            x = round(2 * float(x + rng.uniform(-1.5, 1.5))) / 2  # on the joints of the slabs
+            draws = rng.uniform(size=3)
+            if any(c - 3.5 < x < c + CROSSING_LENGTH_M + 3.5 for c in crossings):
+                continue
+            height = 6.6 + 2.0 * draws[0]
+            trees.append(
+                Tree(x, side * (p.kerb_y_m + 0.15 + 0.75), 2.5 + 0.5 * draws[1], height, 1.9 + 0.5 * draws[2],
+                     int(rng.integers(2**31)))
+            )  # fmt: skip
+    return tuple(trees)
+
+
+def _cars(p: StreetParameters, crossings: tuple[float, ...], rng: np.random.Generator) -> tuple[ParkedCar, ...]:
+    cars: list[ParkedCar] = []
+    shapes: tuple[CarShape, ...] = ("hatchback", "saloon", "estate", "hatchback", "van", "saloon")
+    for side in (1, -1):
+        for x in np.arange(p.start_x_m + 6, p.end_x_m - 5, 6.1):
+            draws = rng.uniform(size=4)
+            x = float(x) + 1.0 * (draws[0] - 0.5)
+            near_crossing = any(c - 6.5 < x < c + CROSSING_LENGTH_M + 6.5 for c in crossings)
+            if draws[1] > p.parked_share or near_crossing:
+                continue
+            y = side * (p.kerb_y_m - 0.5 * p.parking_width_m - 0.05 + 0.16 * (draws[2] - 0.5))
+            shape = shapes[int(rng.integers(len(shapes)))]
+            paint = _PAINTS[int(rng.integers(len(_PAINTS)))]
+            cars.append(ParkedCar(x, y, (180.0 if side > 0 else 0.0) + 1.6 * (draws[3] - 0.5), shape, paint))
+    return tuple(cars)

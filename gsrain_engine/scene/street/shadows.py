@@ -1,0 +1,141 @@
+"""What keeps light from a point of the street: rows of houses, crowns of trees, cars."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+
+from .cars import CAR_FORMS
+from .layout import HOUSE_DEPTH_M, KERB_HEIGHT_M, House, StreetLayout
+from .noise import smooth_noise
+from .trees import crown_lobes
+
+
+def sun_visibility(
+    layout: StreetLayout, sun: Float64[np.ndarray, "3"], points: Float[np.ndarray, "n 3"], leaf: Bool[np.ndarray, " n"]
+) -> Float64[np.ndarray, " n"]:
+    """Share of the sun that reaches each point. Leaves are not shaded by trees again: their crown has done that."""
+    p = points.astype(np.float64)
+    visible = np.ones(len(p))
+    for row, side in ((layout.left, 1), (layout.right, -1)):
+        if sun[1] * side > 0.02:
+            visible *= _past_houses(row, side, layout.parameters.front_y_m, sun, p)
+    ground = np.flatnonzero(~leaf & (visible > 0.01))
+    visible[ground] *= _through_trees(layout, sun, p[ground])
+    low = np.flatnonzero(~leaf & (visible > 0.01) & (p[:, 2] < 1.2))
+    visible[low] *= _past_cars(layout, sun, p[low])
+    return visible
+
+
+def ground_occlusion(
+    layout: StreetLayout, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, " n"]:
+    """Share of the sky's light in the street: less between the houses, below cars, under trees, at the walls' feet."""
+    p = points.astype(np.float64)
+    a = layout.parameters
+    inside = (p[:, 0] > a.start_x_m) & (p[:, 0] < a.end_x_m) & (np.abs(p[:, 1]) < a.front_y_m + 0.5)
+    share = np.where(inside, 0.75 + 0.25 * np.clip(p[:, 2] / 16.0, 0, 1), 1.0)
+    level = (p[:, 2] < KERB_HEIGHT_M + 0.05) & (normals[:, 2] > 0.5)
+    at_wall = np.maximum(a.front_y_m - np.abs(p[:, 1]), 0)
+    share = np.where(inside & level, share * (1 - 0.38 * np.exp(-at_wall / 0.6)), share)
+    at_kerb = np.abs(np.abs(p[:, 1]) - a.kerb_y_m)
+    in_gutter = inside & level & (np.abs(p[:, 1]) < a.kerb_y_m)
+    share = np.where(in_gutter, share * (1 - 0.35 * np.exp(-at_kerb / 0.08)), share)
+    low = np.flatnonzero(inside & (p[:, 2] < 0.6) & (normals[:, 2] > 0.3))
+    share[low] *= _beside_cars(layout, p[low])
+    for tree in layout.trees:
+        beside = (np.abs(p[:, 0] - tree.x) < 4) & (np.abs(p[:, 1] - tree.y) < 4)
+        near = np.flatnonzero(beside & (p[:, 2] < tree.crown_base))
+        away = np.hypot(p[near, 0] - tree.x, p[near, 1] - tree.y)
+        share[near] *= 1 - 0.34 * np.exp(-((away / (1.1 * tree.radius)) ** 2)) - 0.3 * np.exp(-((away / 0.3) ** 2))
+    return share
+
+
+def _past_houses(
+    row: tuple[House, ...], side: int, front: float, sun: Float64[np.ndarray, "3"], p: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, " n"]:
+    """Compare the ray's height with the eaves and the ridge of the house that it passes over."""
+    starts = np.array([house.origin[0] - (house.width if side < 0 else 0) for house in row])
+    stop = starts[-1] + row[-1].width
+    visible = np.ones(len(p))
+    for depth, heights in ((0.0, [h.eaves for h in row]), (0.5 * HOUSE_DEPTH_M, [h.ridge for h in row])):
+        t = (side * (front + depth) - p[:, 1]) / sun[1]
+        x, z = p[:, 0] + t * sun[0], p[:, 2] + t * sun[2]
+        index = np.searchsorted(starts, x, side="right") - 1
+        height = np.where((index >= 0) & (x < stop), np.array(heights)[np.clip(index, 0, None)] + KERB_HEIGHT_M, -1.0)
+        soft = 0.04 + 0.012 * np.abs(t)
+        clear = np.clip((z - height) / soft * 0.5 + 0.5, 0, 1)
+        visible *= np.where(t > 0.02, clear * clear * (3 - 2 * clear), 1.0)
+    return visible
+
+
+def _through_trees(
+    layout: StreetLayout, sun: Float64[np.ndarray, "3"], p: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, " n"]:
+    """Let light through the crowns in flecks."""
+    passed = np.ones(len(p))
+    for tree in layout.trees:
+        middle = np.array([tree.x, tree.y, KERB_HEIGHT_M + 0.5 * (tree.crown_base + tree.height)])
+        away = p - middle
+        along = away @ sun
+        aside = np.linalg.norm(away - along[:, None] * sun, axis=1)
+        near = np.flatnonzero((aside < tree.radius + 1.5) & (along < tree.radius))
+        if not len(near):
+            continue
+        path = np.zeros(len(near))
+        for lobe in crown_lobes(tree):
+            to = p[near] - lobe[:3]
+            on = to @ sun
+            root = np.sqrt(np.maximum(on**2 - np.sum(to**2, axis=1) + lobe[3] ** 2, 0))
+            path += np.where(on < 0, 2 * root, 0)
+        plane = np.cross(sun, [0.0, 1.0, 0.0])
+        other = np.cross(sun, plane)
+        flat = np.stack([p[near] @ plane, p[near] @ other], axis=1)
+        flecks = smooth_noise(flat, 0.42, tree.seed % 4093) * 0.6 + smooth_noise(flat, 0.9, tree.seed % 4091) * 0.4
+        cover = np.clip(path / 0.9, 0, 1)
+        hole = np.clip((flecks - 0.56) / 0.14, 0, 1)
+        passed[near] *= 1 - cover * (0.94 - 0.75 * hole)
+        stem = p[near, :2] - [tree.x, tree.y]
+        t = np.clip(-(stem @ sun[:2]) / (sun[:2] @ sun[:2]), 0, tree.crown_base / sun[2])
+        miss = np.linalg.norm(stem + t[:, None] * sun[:2], axis=1)
+        on_ground = (p[near, 2] < 0.3) & (np.linalg.norm(stem, axis=1) > 0.12)
+        passed[near] *= np.where(on_ground, np.clip((miss - 0.08) / 0.08, 0, 1), 1.0)
+    return passed
+
+
+def _past_cars(
+    layout: StreetLayout, sun: Float64[np.ndarray, "3"], p: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, " n"]:
+    """Cast shadows of two boxes a car, body and glass house, softened where the sun only grazes them."""
+    passed = np.ones(len(p))
+    for car in layout.cars:
+        form = CAR_FORMS[car.shape]
+        near = np.flatnonzero((np.abs(p[:, 0] - car.x) < 5.0) & (np.abs(p[:, 1] - car.y) < 3.6))
+        if not len(near):
+            continue
+        way = -1.0 if abs(car.turn_deg) > 90 else 1.0
+        local = (p[near] - [car.x, car.y, 0.0]) * [way, way, 1.0]
+        towards = sun * [way, way, 1.0]
+        half, w = 0.5 * form.length, 0.5 * form.width
+        body = (-half, -w, 0.16), (half, w, form.hood[1] - 0.02)
+        rear, front = 0.5 * (form.belt[0] + form.roof[0]), 0.5 * (form.belt[1] + form.roof[1])
+        cabin = (rear, -w + 0.2, 0.8), (front, w - 0.2, form.height)
+        # Beside the car only: the car's own surfaces are lit by their normals.
+        for low, high in (body, cabin):
+            low_t, high_t = (np.array(low) - local) / towards, (np.array(high) - local) / towards
+            enter, leave = np.minimum(low_t, high_t).max(axis=1), np.maximum(low_t, high_t).min(axis=1)
+            path = leave - np.maximum(enter, 0)
+            outside = (np.abs(local[:, 0]) > half) | (np.abs(local[:, 1]) > w) | (local[:, 2] < 0.16)
+            passed[near] *= np.where(outside, 1 - np.clip(path / 0.22, 0, 1), 1.0)
+    return passed
+
+
+def _beside_cars(layout: StreetLayout, p: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+    """Darken the ground under and around cars."""
+    share = np.ones(len(p))
+    for car in layout.cars:
+        form = CAR_FORMS[car.shape]
+        away_x = np.abs(p[:, 0] - car.x) - 0.5 * form.length + 0.1
+        away_y = np.abs(p[:, 1] - car.y) - 0.5 * form.width + 0.1
+        near = np.flatnonzero((away_x < 1.2) & (away_y < 1.2) & (p[:, 2] < 0.16))
+        away = np.hypot(np.maximum(away_x[near], 0), np.maximum(away_y[near], 0))
+        share[near] *= 1 - 0.88 * np.exp(-away / 0.32)
+    return share

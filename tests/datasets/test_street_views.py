@@ -1,0 +1,143 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gsrain_engine.datasets.capture import View
+from gsrain_engine.datasets.street_views import StreetViews, capture_street, street_meshes
+from gsrain_engine.render.context import open_context
+from gsrain_engine.render.splat_renderer import SplatRenderer
+from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.street.build import StreetSurfaces, scene_of, street_surfaces
+from gsrain_engine.scene.street.labels import Label
+from gsrain_engine.scene.street.parameters import StreetParameters
+
+UP = np.array([0.0, 0.0, 1.0])
+SMALL = StreetParameters(length_m=120.0, parked_share=0.3, tree_spacing_m=30.0)
+
+
+@pytest.fixture(scope="module")
+def surfaces() -> StreetSurfaces:
+    return street_surfaces(SMALL)
+
+
+@pytest.fixture(scope="module")
+def views(surfaces: StreetSurfaces) -> StreetViews:
+    return StreetViews(surfaces)
+
+
+@pytest.fixture(scope="module")
+def ahead() -> Camera:
+    pose = look_at(np.array([0.0, -1.7, 1.5]), np.array([100.0, -1.7, 1.5]), UP)
+    return Camera(480, 320, 500.0, 500.0, 240.0, 160.0, pose)
+
+
+@pytest.fixture(scope="module")
+def view(views: StreetViews, ahead: Camera) -> View:
+    return views.view(ahead, 0.0, "ahead")
+
+
+def _world(view: View) -> np.ndarray:
+    """Each pixel's surface point in the world."""
+    assert view.depth is not None
+    c = view.camera
+    x = (np.arange(c.width) + 0.5 - c.cx) / c.fx
+    y = (np.arange(c.height) + 0.5 - c.cy) / c.fy
+    local = np.stack(np.broadcast_arrays(x[None], y[:, None], 1.0), axis=2) * view.depth[..., None]
+    return local @ c.camera_to_world[:3, :3].T + c.position
+
+
+def test_depth_of_the_road_is_that_of_its_plane(view: View) -> None:
+    assert view.depth is not None
+    assert view.labels is not None
+    rows, columns = np.nonzero((view.labels == Label.ROAD) & (view.depth < 60))
+    assert len(rows) > 20_000
+    c = view.camera
+    expected = 1.5 * c.fy / (rows + 0.5 - c.cy)  # a level view from 1.5 m above a plane
+    np.testing.assert_allclose(view.depth[rows, columns], expected, rtol=2e-4)
+
+
+def test_depth_of_the_house_fronts_is_that_of_their_plane(view: View, surfaces: StreetSurfaces) -> None:
+    assert view.labels is not None
+    y = _world(view)[..., 1]
+    fronts = np.abs(np.abs(y[view.labels == Label.BUILDING]) - surfaces.layout.parameters.front_y_m)
+    assert np.mean(fronts < 0.01) > 0.3  # the rest are reveals, sills, roofs and the row at the end
+
+
+def test_labels_are_right_where_anyone_can_tell(view: View) -> None:
+    assert view.labels is not None
+    assert view.labels[10, 200] == Label.SKY
+    assert view.labels[300, 240] == Label.ROAD
+    assert view.labels[185, 240] == Label.CAR  # the lead car
+    found = set(np.unique(view.labels).tolist())
+    assert {Label.LANE_MARKING, Label.PAVEMENT, Label.BUILDING, Label.VEGETATION, Label.POLE} <= found
+    assert Label.NOTHING not in found
+
+
+def test_normals_point_to_the_camera(view: View) -> None:
+    assert view.normals is not None
+    assert view.labels is not None
+    np.testing.assert_allclose(view.normals[300, 240], [0, 0, 1], atol=1e-6)
+    solid = view.labels != Label.SKY
+    np.testing.assert_allclose(np.linalg.norm(view.normals[solid], axis=1), 1, atol=1e-5)
+    np.testing.assert_array_equal(view.normals[~solid], 0)
+    away = _world(view) - view.camera.position
+    assert (np.sum(away * view.normals, axis=2)[solid] <= 1e-6).all()
+
+
+def test_mask_leaves_out_the_lead_car(view: View, views: StreetViews, ahead: Camera) -> None:
+    assert view.mask is not None
+    assert not view.mask[185, 240]
+    assert view.mask[300, 240]
+    rows, columns = np.nonzero(~view.mask)
+    assert columns.mean() == pytest.approx(240, abs=3)  # 18 m ahead in the same lane
+    width_px = columns.max() - columns.min()
+    assert width_px == pytest.approx(500 * 1.82 / (18 - 2.33), rel=0.1)
+    later = views.view(ahead, 4.0, "later")
+    assert later.mask is not None
+    assert 0 < np.sum(~later.mask) < 0.2 * len(rows)
+
+
+def test_a_second_picture_has_the_same_bytes(view: View, views: StreetViews, ahead: Camera) -> None:
+    again = views.view(ahead, 0.0, "again")
+    np.testing.assert_array_equal(again.image, view.image)
+    np.testing.assert_array_equal(again.depth, view.depth)
+
+
+def test_mesh_and_gaussians_show_the_same_street(view: View, surfaces: StreetSurfaces) -> None:
+    scene = scene_of(surfaces)
+    with open_context() as context:
+        renderer = SplatRenderer(context)
+        renderer.draw(scene.parts(0.0), view.camera, with_depth=True)
+        frame = renderer.read()
+        shown = frame.to_uint8().astype(np.float64)
+    assert frame.depth is not None
+    assert view.depth is not None
+    psnr = 10 * np.log10(255**2 / np.mean((shown - view.image) ** 2))
+    solid = (view.depth > 0) & (view.depth < 60)
+    error = np.median(np.abs(frame.depth - view.depth)[solid] / view.depth[solid])
+    print(f"\nGaussians against mesh: {psnr:.2f} dB, median relative depth error {error:.4f}")
+    assert psnr > 20.5
+    assert error < 0.03
+    assert frame.rgba[..., 3].mean() > 0.98  # nothing to see through
+
+
+def test_captures_have_everything(surfaces: StreetSurfaces) -> None:
+    pose = look_at(np.array([0.0, -1.7, 1.5]), np.array([10.0, -3.0, 1.5]), UP)
+    camera = Camera(96, 64, 100.0, 100.0, 48.0, 32.0, pose)
+    capture = capture_street([camera, replace(camera, fx=80.0, fy=80.0)], [0.0, 0.5], surfaces, with_lead=False)
+    assert capture.has == {"depth", "normals", "labels", "mask"}
+    assert [view.time_s for view in capture] == [0.0, 0.5]
+    assert all(view.mask is not None and view.mask.all() for view in capture)
+
+
+def test_needs_a_time_for_each_camera(ahead: Camera) -> None:
+    with pytest.raises(ValueError, match="1 cameras need as many times"):
+        capture_street([ahead], [0.0, 1.0])
+
+
+def test_mesh_has_two_triangles_a_gaussian(surfaces: StreetSurfaces) -> None:
+    street, lead = street_meshes(surfaces)
+    assert len(street.quads) == sum(len(quads) for quads in surfaces.layers.values())
+    assert street.matte.shape == (len(street.quads), 4, 3)
+    assert (~lead.solid).sum() > 50  # its shadow

@@ -1,0 +1,131 @@
+import numpy as np
+import pytest
+from scipy import stats
+
+from gsrain_engine.rain.drop_field import CLASS_STRIDE, Culling, count_in_region, drops_at, find_drops, offsets
+from gsrain_engine.rain.drop_sizes import CLASSES
+from gsrain_engine.rain.random_bits import pcg4d, pcg4d_scalar
+
+PERIOD = np.array([8.0, 8.0, 6.0])
+FALL = np.linspace(1.0, 8.0, CLASSES)  # m/s by class
+
+
+def displaced(time_s, wind=(0.0, 0.0)):
+    moved = np.zeros((CLASSES, 3))
+    moved[:, 0], moved[:, 1], moved[:, 2] = wind[0] * time_s, wind[1] * time_s, -FALL * time_s
+    return moved
+
+
+def positions_at(time_s, center=(0.0, 0.0, 0.0), wind=(0.0, 0.0), count=20_000):
+    center = np.array(center, float)
+    drops = drops_at(np.arange(count), 7, offsets(displaced(time_s, wind), center, PERIOD))
+    return drops.positions(PERIOD) + center, drops
+
+
+def culling(camera=(-1.0, 0.3, 0.2), far=2.0, yaw=0.4):
+    c, s = np.cos(yaw), np.sin(yaw)
+    return Culling(
+        region_rotation=np.array([[c, s], [-s, c]]),
+        region_half=np.array([2.8, 2.8, 3.0]),
+        camera_position=np.array(camera),
+        cell_to_camera=np.array([[s, -c, 0.0], [0.0, 0.0, -1.0], [c, s, 0.0]]),
+        slopes=np.array([-0.5, 0.6, -0.4, 0.3]),
+        margin_m=0.1,
+        reach=float(np.sqrt(1 + 0.36 + 0.16)),
+        class_far_m=np.linspace(0.5, far, CLASSES),
+    )
+
+
+def test_hash_is_pcg4d():
+    """Against the published lines, in Python's own integers."""
+
+    def reference(v):
+        mask = 0xFFFFFFFF
+        x, y, z, w = ((e * 1664525 + 1013904223) & mask for e in v)
+        for last in (False, True):
+            x = (x + y * w) & mask
+            y = (y + z * x) & mask
+            z = (z + x * y) & mask
+            w = (w + y * z) & mask
+            if not last:
+                x, y, z, w = (e ^ (e >> 16) for e in (x, y, z, w))
+        return x, y, z, w
+
+    rng = np.random.default_rng(1)
+    inputs = rng.integers(0, 2**32, (50, 4), dtype=np.uint32)
+    ours = np.stack(pcg4d(*inputs.T), axis=1)
+    for row, out in zip(inputs, ours, strict=True):
+        assert tuple(int(v) for v in out) == reference([int(v) for v in row])
+        assert tuple(int(v) for v in pcg4d_scalar(*row)) == reference([int(v) for v in row])
+
+
+def test_every_class_comes_once_in_a_round():
+    classes = (np.arange(CLASSES) * CLASS_STRIDE) % CLASSES
+    assert len(np.unique(classes)) == CLASSES
+    # and any prefix is spread evenly: no class quantile is far off
+    prefix = np.sort(classes[:500]) / CLASSES
+    assert np.abs(prefix - np.arange(500) / 500).max() < 0.01
+
+
+@pytest.mark.parametrize("time_s", [0.0, 12.3, 9_999.9])
+def test_compiled_search_finds_what_the_reference_places(time_s):
+    where = offsets(displaced(time_s, (1.0, -2.0)), np.array([1.0, 2.0, 3.0]), PERIOD)
+    cull = culling()
+    found = find_drops(50_000, 7, where, PERIOD, cull)
+    every = drops_at(np.arange(50_000), 7, where)
+    p = every.positions(PERIOD)
+    in_region = np.all(np.abs(p[:, :2] @ cull.region_rotation.T) <= cull.region_half[:2], axis=1)
+    in_region &= np.abs(p[:, 2]) <= cull.region_half[2]
+    u, v, depth = ((p - cull.camera_position) @ cull.cell_to_camera.T).T
+    m, s = cull.margin_m, cull.slopes
+    seen = in_region & (depth >= 0) & (depth <= cull.class_far_m[every.class_index])
+    seen &= (u >= s[0] * depth - m) & (u <= s[1] * depth + m) & (v >= s[2] * depth - m) & (v <= s[3] * depth + m)
+    assert seen.sum() > 50
+    assert np.array_equal(found.index, np.flatnonzero(seen))
+    assert np.array_equal(found.fractions, every.fractions[seen])
+    assert count_in_region(50_000, 7, where, PERIOD, cull) == in_region.sum()
+
+
+@pytest.mark.parametrize("time_s", [0.0, 3.7, 5_000.0])
+def test_drops_are_uniform_in_the_cell(time_s):
+    """Chi-square over 8 x 8 x 8 boxes: 200,000 drops see a density that is 6 % off in half the boxes (p < 1e-6)."""
+    p, _ = positions_at(time_s, (3.0, -2.0, 1.0), (2.0, 1.0), count=200_000)
+    fractions = (p - [3.0, -2.0, 1.0]) / PERIOD + 0.5
+    counts, _ = np.histogramdd(fractions, bins=(8, 8, 8), range=[(0, 1)] * 3)
+    assert stats.chisquare(counts.ravel()).pvalue > 1e-4
+
+
+def test_drops_move_with_their_class_and_jump_only_at_faces():
+    """While time goes on and the cell drives and rises, a drop either moves by v dt or has crossed a face."""
+    dt, wind = 1e-3, (1.5, -0.7)
+    for time_s in np.linspace(0, 40, 25):
+        center = np.array([10.0 * time_s, 0.5 * time_s, 0.1 * time_s])
+        later = center + np.array([10.0, 0.5, 0.1]) * dt
+        before, drops = positions_at(time_s, center, wind)
+        after, _ = positions_at(time_s + dt, later, wind)
+        step = np.array([wind[0], wind[1], 0]) * dt - np.outer(FALL[drops.class_index], [0, 0, dt])
+        jumped = np.any(np.abs(after - before - step) > 1e-5, axis=1)
+        at_face = np.any(np.abs(np.abs(before - center) - PERIOD / 2) < 0.05, axis=1)
+        assert 0 < jumped.sum() < 0.02 * len(jumped)
+        assert np.all(at_face[jumped])
+
+
+def test_a_wrap_draws_the_later_axes_anew_but_no_earlier_one():
+    """A drop that leaves through an x face keeps its height; one that falls through the floor gets a new x and y."""
+    before, _ = positions_at(10.0, (0, 0, 0))
+    sideways, _ = positions_at(10.0, (PERIOD[0], 0, 0))  # a whole period further: every drop wraps once in x
+    assert np.allclose(sideways[:, 2], before[:, 2])
+    assert np.allclose(sideways[:, 0] - PERIOD[0], before[:, 0])
+    new_y = np.abs(sideways[:, 1] - before[:, 1])
+    assert np.mean(new_y < 0.1) < 0.05
+    below, _ = positions_at(10.0, (0, 0, -PERIOD[2]))
+    assert np.allclose(below[:, 2] + PERIOD[2], before[:, 2])
+    for axis in (0, 1):
+        correlation = np.corrcoef(below[:, axis], before[:, axis])[0, 1]
+        assert abs(correlation) < 5 / np.sqrt(len(before))
+
+
+def test_more_drops_leave_the_first_ones_where_they_are():
+    few, _ = positions_at(4.0, count=1000)
+    many, _ = positions_at(4.0, count=5000)
+    assert np.array_equal(few, many[:1000])

@@ -1,0 +1,111 @@
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.rain.presets import load_preset
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.rain_state import fall_speed, flux_mm_h, rain_state
+
+PUBLISHED = load_calibration("published")
+
+
+def state(**fields):
+    return rain_state(Rain(**fields), PUBLISHED)
+
+
+@pytest.mark.parametrize(
+    ("intensity", "density", "shape", "scale", "implied"),
+    [(1.2, 271, 9.705, 0.074, 0.80), (8.5, 1190, 7.132, 0.114, 6.59), (12.0, 1710, 10.466, 0.085, 11.03)],
+)
+def test_published_rows_come_back_exactly(intensity, density, shape, scale, implied):
+    row = state(intensity_mm_h=intensity, closure="published")
+    assert (row.density_m3, row.shape, row.scale_mm) == (density, shape, scale)
+    assert row.implied_mm_h == pytest.approx(implied, abs=0.005)
+
+
+def test_paper_preset_has_its_drops():
+    rain = load_preset("paper")
+    paper = rain_state(rain, PUBLISHED)
+    assert rain.streak_region.volume_m3 == 216
+    assert paper.drops == 257_040
+    assert rain.exposure_s == 0.05
+    assert paper.haze_gaussians == 553  # beta V_f / (2 pi s_h^2 alpha_m)
+
+
+@given(st.floats(0.01, 100))
+@settings(max_examples=60, deadline=None)
+def test_density_closure_carries_the_requested_rate(intensity):
+    rain = Rain(intensity_mm_h=intensity)
+    closed = rain_state(rain, PUBLISHED)
+    assert flux_mm_h(closed.density_m3, closed.sizes, fall_speed(rain, PUBLISHED)) == pytest.approx(intensity, rel=1e-9)
+    assert closed.implied_mm_h == intensity
+
+
+@given(st.floats(0.01, 99), st.floats(1e-3, 1))
+@settings(max_examples=60, deadline=None)
+def test_more_rain_has_larger_drops_and_takes_more_light(intensity, more):
+    weaker, stronger = state(intensity_mm_h=intensity), state(intensity_mm_h=intensity + more)
+    assert stronger.mean_diameter_mm > weaker.mean_diameter_mm
+    assert stronger.extinction_per_m > weaker.extinction_per_m
+    assert stronger.table_density_m3 > weaker.table_density_m3
+
+
+@given(st.floats(0.05, 99))
+@settings(max_examples=40, deadline=None)
+def test_state_is_continuous_in_the_intensity(intensity):
+    here, beside = state(intensity_mm_h=intensity), state(intensity_mm_h=intensity * (1 + 1e-6))
+    for name in ("density_m3", "shape", "scale_mm", "extinction_per_m"):
+        assert getattr(beside, name) == pytest.approx(getattr(here, name), rel=1e-4)
+
+
+def test_no_rain_is_no_rain_at_all():
+    clear = state(intensity_mm_h=0.0)
+    assert (clear.density_m3, clear.drops, clear.haze_gaussians, clear.extinction_per_m) == (0, 0, 0, 0)
+    assert clear.visibility_m == float("inf")
+
+
+def test_calibration_ends_at_13():
+    assert not state(intensity_mm_h=13.0).beyond_calibration
+    assert state(intensity_mm_h=13.01).beyond_calibration
+
+
+def test_gains_scale_what_they_name():
+    plain, hazier = state(intensity_mm_h=8.5), state(intensity_mm_h=8.5, haze_gain=3.0)
+    assert hazier.extinction_per_m == pytest.approx(3 * plain.extinction_per_m)
+    assert "haze x3 exaggerated" in Rain(haze_gain=3.0).exaggeration
+    assert Rain().exaggeration == ""
+
+
+def test_visibility_leaves_a_twentieth_of_a_beam():
+    rainy = state(intensity_mm_h=8.5)
+    assert np.exp(-rainy.extinction_per_m * rainy.visibility_m) == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("intensity_mmh: 3", "unknown field `intensity_mmh`"),
+        ("intensity_mm_h: 101", "<= 100.0 - at `$.intensity_mm_h`"),
+        ("exposure_s: 2", "exposure_s must be within 0.00001..1 s"),
+        ("streak_region: {minimum_m: [0, 0, 0], maximum_m: [1, 0, 1]}", "on y"),
+    ],
+)
+def test_bad_presets_name_file_field_and_range(tmp_path, text, words):
+    file = tmp_path / "mine.yaml"
+    file.write_text(text)
+    with pytest.raises(ValueError, match="mine.yaml") as error:
+        load_preset(str(file))
+    assert words in str(error.value)
+
+
+def test_unknown_preset_lists_the_known_ones():
+    with pytest.raises(ValueError, match=r"clear, 1.2, 8.5, 12.0, paper"):
+        load_preset("drizzle")
+
+
+def test_rain_survives_a_round_trip_through_yaml():
+    rain = load_preset("paper")
+    assert msgspec.yaml.decode(msgspec.yaml.encode(rain), type=Rain) == rain

@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.streaks import Shutter, axis_ratio, make_streaks
+from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.rotations import matrices_from_quaternions
+
+F = 1000.0
+EYE = look_at(np.zeros(3), np.array([1.0, 0, 0]), np.array([0.0, 0, 1.0]))
+
+
+def shutter(exposure_s=0.004, velocity=(0.0, 0, 0)):
+    return Shutter(Camera(960, 640, F, F, 480.0, 320.0, EYE), np.array(velocity, float), exposure_s, F)
+
+
+def streak(distance_m, diameter_mm, fall_m_s=4.0, exposure_s=0.004, velocity=(0.0, 0, 0), **rain):
+    return make_streaks(
+        np.array([[distance_m, 0.0, 0.0]]),
+        np.array([diameter_mm]),
+        np.array([[0.0, 0, -fall_m_s]]),
+        shutter(exposure_s, velocity),
+        Rain(**rain),
+    )
+
+
+@given(st.floats(0.25, 1.9), st.floats(0.3, 4.0), st.floats(0.003, 0.05))
+@settings(max_examples=80, deadline=None)
+def test_alpha_integrates_to_the_cross_section_near_and_far(share_of_dm, diameter_mm, exposure_s):
+    """Sum of alpha over the image is pi D^2 / 4 (f / d)^2: what the drop hides, smeared over its path."""
+    distance = share_of_dm * F * diameter_mm * 1e-3
+    made = streak(distance, diameter_mm, exposure_s=exposure_s)
+    across_px, along_px = made.scales[:, 0] * F / distance, made.scales[:, 2] * F / distance
+    integral = np.sum(2 * np.pi * across_px * along_px * made.opacities)
+    assert integral == pytest.approx(np.pi / 4 * (diameter_mm * 1e-3 * F / distance) ** 2, rel=0.06)
+
+
+def test_halving_the_exposure_doubles_the_opacity_and_halves_the_streak():
+    long, short = streak(1.0, 1.0, exposure_s=0.004, max_copies=1), streak(1.0, 1.0, exposure_s=0.002, max_copies=1)
+    alpha = [1 - (1 - float(s.opacities[0])) ** np.sqrt(2 * np.pi) for s in (long, short)]
+    assert alpha[0] == pytest.approx(1e-3 / (4.0 * 0.004), rel=1e-5)
+    assert alpha[1] == pytest.approx(2 * alpha[0], rel=1e-5)
+    assert long.scales[0, 2] == pytest.approx(2 * short.scales[0, 2])
+
+
+def test_copies_lie_along_the_path_of_the_drop():
+    made = streak(1.0, 1.0, exposure_s=0.02, max_copies=4)
+    length = 4.0 * 0.02
+    assert len(made.means) == 4
+    assert np.allclose(made.means[:, 2], [0.375 * length, 0.125 * length, -0.125 * length, -0.375 * length], atol=1e-6) or (
+        np.allclose(made.means[::-1, 2], [0.375 * length, 0.125 * length, -0.125 * length, -0.375 * length], atol=1e-6)
+    )
+    assert made.scales[:, 2] == pytest.approx(length / 4)
+
+
+def test_a_moving_camera_slants_lengthens_and_fades_the_streak():
+    still, moving = streak(1.0, 1.0), streak(1.0, 1.0, velocity=(0.0, 10.0, 0.0))
+    axis = matrices_from_quaternions(moving.quaternions.astype(float))[0][:, 2]
+    expected = np.array([0.0, -10.0, -4.0]) / np.hypot(10, 4)
+    assert abs(axis @ expected) == pytest.approx(1, abs=1e-6)
+    assert np.ptp(moving.means[:, 1]) > 0.02
+    assert moving.opacities[0] < 0.5 * still.opacities[0]
+    world = streak(1.0, 1.0, velocity=(0.0, 10.0, 0.0), streak_frame="world")
+    assert np.array_equal(world.means, still.means)
+
+
+def test_speed_along_the_line_of_sight_does_not_fade():
+    """A drop that comes straight at the camera stays on its pixel: alpha counts only the speed across."""
+    approaching = streak(1.0, 1.0, velocity=(10.0, 0, 0))
+    still = streak(1.0, 1.0)
+    assert approaching.opacities[0] == pytest.approx(still.opacities[0], rel=1e-5)
+
+
+def test_opacity_falls_beyond_the_visible_distance():
+    near, at, beyond = streak(0.5, 1.0), streak(1.0, 1.0), streak(1.6, 1.0)
+    alpha = [1 - (1 - float(s.opacities[0])) ** np.sqrt(2 * np.pi) for s in (near, at, beyond)]
+    assert alpha[0] == pytest.approx(alpha[1], rel=1e-5)
+    assert alpha[2] == pytest.approx(alpha[1] / 1.6, rel=1e-5)
+
+
+def test_small_drops_are_spheres_and_large_ones_flat():
+    assert axis_ratio(np.array([0.3, 0.9, 1.0])) == pytest.approx([1, 1, 1])
+    assert axis_ratio(np.array([2.0, 4.0])) == pytest.approx([0.93, 0.79])
