@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float64
@@ -30,7 +30,7 @@ class Camera:
     @classmethod
     def from_fov(
         cls, width: int, height: int, vertical_fov_deg: float, world_to_camera: Float64[np.ndarray, "4 4"]
-    ) -> Self:
+    ) -> "Camera":
         """Build a camera with square pixels and its principal point in the middle."""
         f = 0.5 * height / np.tan(np.radians(vertical_fov_deg) / 2)
         return cls(width, height, float(f), float(f), width / 2, height / 2, world_to_camera)
@@ -89,10 +89,12 @@ class Camera:
         }
 
     @classmethod
-    def from_json(cls, values: dict[str, Any], source: Path | str = "camera") -> Self:
+    def from_json(cls, values: dict[str, Any], source: Path | str = "camera") -> "Camera":
         """Build a camera from the values of a camera file; `source` names it in errors."""
         try:
             matrix = np.array(values["world_to_camera"], dtype=np.float64)
+            if matrix.shape != (4, 4):
+                raise SceneFormatError(source, f"world_to_camera has shape {matrix.shape}, expected 4x4")
             camera = cls(
                 int(values["width"]),
                 int(values["height"]),
@@ -102,6 +104,8 @@ class Camera:
             )
         except KeyError as error:
             raise SceneFormatError(source, f"camera has no field {error.args[0]!r}") from None
+        except SceneFormatError:
+            raise
         except (TypeError, ValueError) as error:
             raise SceneFormatError(source, f"camera field can't be read as a number: {error}") from None
         camera._check(source)
@@ -109,7 +113,7 @@ class Camera:
 
     def _check(self, source: Path | str) -> None:
         rotation = self.world_to_camera[:3, :3]
-        if self.world_to_camera.shape != (4, 4) or not np.isfinite(self.world_to_camera).all():
+        if not np.isfinite(self.world_to_camera).all():
             raise SceneFormatError(source, "world_to_camera must be a finite 4x4 matrix")
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
             raise SceneFormatError(source, "world_to_camera must hold a rotation without scale or mirroring")

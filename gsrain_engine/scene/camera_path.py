@@ -40,8 +40,7 @@ class CameraPath:
         camera_to_world = np.eye(4)
         camera_to_world[:3, :3] = self._rotation(t)
         camera_to_world[:3, 3] = self._position(t)
-        fov = float(self._fov(t))
-        camera = Camera.from_fov(width, height, fov, np.linalg.inv(camera_to_world))
+        camera = Camera.from_fov(width, height, self._fov(t), np.linalg.inv(camera_to_world))
         return Camera(*_intrinsics(camera), camera.world_to_camera, self.exposure_s)
 
     def velocity(self, time_s: float) -> Float64[np.ndarray, "3"]:
@@ -73,7 +72,7 @@ class CameraPath:
         return self._rotation_spline(t).as_matrix()
 
     def _fov(self, t: float) -> float:
-        return self.vertical_fov_deg[0] if len(self.times_s) < 2 else self._fov_spline(t)
+        return float(self.vertical_fov_deg[0] if len(self.times_s) < 2 else self._fov_spline(t))
 
     @cached_property
     def _position_spline(self) -> CubicSpline:
@@ -118,7 +117,7 @@ def orbit_path(
 ) -> CameraPath:
     """Swing around a point from one side of a camera's place to the other, looking as the camera does. World z is up."""
     angles = np.radians(np.linspace(-sweep_deg / 2, sweep_deg / 2, 9))
-    turns = Rotation.from_euler("z", angles).as_matrix()
+    turns = Rotation.from_euler("z", angles[:, None]).as_matrix()
     pose = camera.camera_to_world
     rotations = turns @ pose[:3, :3]
     positions = (turns @ (pose[:3, 3] - center)) + center

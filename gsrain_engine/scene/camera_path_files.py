@@ -70,8 +70,8 @@ def _own(values: dict[str, Any]) -> CameraPath:
     keys = values["keyframes"]
     return CameraPath(
         np.array([key["time_s"] for key in keys], np.float64),
-        np.array([key["position"] for key in keys], np.float64),
-        normalized(np.array([key["quaternion_wxyz"] for key in keys], np.float64)),
+        np.array([key["position"] for key in keys], np.float64).reshape(-1, 3),
+        normalized(np.array([key["quaternion_wxyz"] for key in keys], np.float64).reshape(-1, 4)),
         np.array([key["vertical_fov_deg"] for key in keys], np.float64),
     )
 
@@ -87,8 +87,8 @@ def _nerfstudio(values: dict[str, Any]) -> CameraPath:
 
 def _training_cameras(values: list[dict[str, Any]]) -> CameraPath:
     """3DGS: camera-to-world rotation with OpenCV axes, focal lengths in pixels."""
-    rotations = np.array([key["rotation"] for key in values], np.float64)
-    positions = np.array([key["position"] for key in values], np.float64)
+    rotations = np.array([key["rotation"] for key in values], np.float64).reshape(-1, 3, 3)
+    positions = np.array([key["position"] for key in values], np.float64).reshape(-1, 3)
     fov = [np.degrees(2 * np.arctan(0.5 * key["height"] / key["fy"])) for key in values]
     return _from_poses(np.arange(len(values)) / _KEYS_PER_SECOND, rotations, positions, np.array(fov))
 

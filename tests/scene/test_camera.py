@@ -55,7 +55,7 @@ def test_a_camera_file_comes_back(tmp_path):
         ({"width": "wide"}, "can't be read as a number"),
         ({"world_to_camera": [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]]}, "rotation without scale"),
         ({"world_to_camera": [[float("nan")] * 4] * 4}, "finite 4x4"),
-        ({"world_to_camera": [1, 2, 3]}, "4x4"),
+        ({"world_to_camera": [1, 2, 3]}, "expected 4x4"),
         ({"exposure_s": 0}, "exposure_s"),
     ],
 )

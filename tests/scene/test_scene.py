@@ -22,7 +22,7 @@ def some(n=3, k=1):
 
 
 def track(valid=(True, True, True)):
-    quarter = Rotation.from_euler("z", [0, 90, 90], degrees=True).as_quat()[:, [3, 0, 1, 2]]
+    quarter = Rotation.from_euler("z", [[0], [90], [90]], degrees=True).as_quat()[:, [3, 0, 1, 2]]
     return Track(np.array([0.0, 1, 3]), np.array([[0.0, 0, 0], [2, 0, 0], [2, 4, 0]]), quarter, np.array(valid))
 
 
@@ -67,12 +67,12 @@ def test_tracks_interpolate_linearly_and_along_the_arc():
 
 
 def test_an_actor_is_there_only_while_its_track_is_valid():
-    scene = Scene("s", (Layer("a", some()),), (Actor("x", "car", (4.0, 2, 1.5), some(), track((True, False, True))),))
+    scene = Scene("s", (Layer("a", some()),), (Actor("x", "car", (4.0, 2.0, 1.5), some(), track((True, False, True))),))
     assert [len(scene.parts(t)) for t in (0.5, 1.5, 3.5)] == [2, 1, 2]
 
 
 def test_parts_take_units_up_and_pose_to_the_world():
-    scene = Scene("s", (Layer("a", some()),), (Actor("x", "car", (4.0, 2, 1.5), some(), track()),),
+    scene = Scene("s", (Layer("a", some()),), (Actor("x", "car", (4.0, 2.0, 1.5), some(), track()),),
                   metres_per_unit=2.0, up=(0.0, -1.0, 0.0))  # fmt: skip
     layer, actor = scene.parts(1.0)
     assert layer.to_world @ [0, -1, 0, 1] == pytest.approx([0, 0, 2, 1])
@@ -105,8 +105,8 @@ def test_concatenation_pads_harmonics():
 
 def test_shapes_that_do_not_fit_are_refused():
     g = some(2)
-    with pytest.raises(ValueError, match="quaternions has shape"):
-        Gaussians(g.means, g.scales, g.quaternions[:1].copy(), g.opacities, g.sh)
+    with pytest.raises(ValueError, match="2 coefficients a colour"):
+        g.with_sh(np.zeros((2, 2, 3), np.float32))
 
 
 def test_color_harmonics_show_the_color():

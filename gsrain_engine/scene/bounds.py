@@ -1,0 +1,49 @@
+"""Where Gaussians lie: boxes around their centres, in their own units and axes."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from .gaussians import Gaussians
+
+_ROBUST_SHARE = 0.98
+"""Share of the opacity along an axis that the robust box keeps; captures have strays far outside."""
+
+
+class Bounds(NamedTuple):
+    """An axis-aligned box."""
+
+    low: Float64[np.ndarray, "3"]
+    high: Float64[np.ndarray, "3"]
+
+
+def bounds(gaussians: Gaussians) -> Bounds:
+    """Box around all centres; without Gaussians a point at the origin."""
+    if not len(gaussians):
+        return Bounds(np.zeros(3), np.zeros(3))
+    return Bounds(gaussians.means.min(axis=0).astype(np.float64), gaussians.means.max(axis=0).astype(np.float64))
+
+
+def robust_bounds(gaussians: Gaussians, share: float = _ROBUST_SHARE) -> Bounds:
+    """Box that keeps the middle `share` (0..1) of all opacity along each axis; without Gaussians the origin.
+
+    Where everything is fully transparent, every centre counts the same.
+    """
+    weights = gaussians.opacities.astype(np.float64)
+    if not weights.sum() > 0:
+        weights = np.ones(len(gaussians))
+    ends = [(1 - share) / 2, (1 + share) / 2]
+    columns = [_weighted_quantiles(column, weights, ends) for column in gaussians.means.T] if len(gaussians) else []
+    low, high = np.array(columns, np.float64).T if columns else np.zeros((2, 3))
+    return Bounds(low, high)
+
+
+def _weighted_quantiles(
+    values: Float32[np.ndarray, " n"], weights: Float64[np.ndarray, " n"], shares: list[float]
+) -> Float64[np.ndarray, " s"]:
+    """Smallest values that have at least these shares of the weight at or below them."""
+    order = np.argsort(values)
+    summed = np.cumsum(weights[order])
+    index = np.searchsorted(summed, np.array(shares) * summed[-1])
+    return values[order][np.minimum(index, len(values) - 1)].astype(np.float64)

@@ -1,0 +1,44 @@
+"""One set of Gaussians made of a whole scene, for files that know neither actors nor units."""
+
+import numpy as np
+from jaxtyping import Float64
+
+from .gaussians import Gaussians
+from .rotations import quaternion_product, quaternions_from_matrices
+from .scene import Scene, rotation_to_z_up
+from .spherical_harmonics import rotate_sh
+
+FILE_UP = (0.0, -1.0, 0.0)
+"""Upward in files that can't say it: y points down, as in COLMAP and thus in 3DGS captures."""
+
+
+def moved(gaussians: Gaussians, similarity: Float64[np.ndarray, "4 4"]) -> Gaussians:
+    """Move, turn and scale Gaussians; their spherical harmonics turn with them.
+
+    `similarity` is a rotation times one scale above 0, and a translation. The identity returns the very same value.
+    """
+    if np.array_equal(similarity, np.eye(4)):
+        return gaussians
+    scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+    rotation = similarity[:3, :3] / scale
+    turn = quaternions_from_matrices(rotation)
+    means = gaussians.means.astype(np.float64) @ similarity[:3, :3].T + similarity[:3, 3]
+    quaternions = quaternion_product(np.broadcast_to(turn, gaussians.quaternions.shape), gaussians.quaternions)
+    return Gaussians(
+        means.astype(np.float32),
+        gaussians.scales * np.float32(scale),
+        quaternions.astype(np.float32),
+        gaussians.opacities,
+        rotate_sh(gaussians.sh, rotation),
+    )
+
+
+def flattened(scene: Scene, time_s: float = 0.0) -> Gaussians:
+    """All that can be seen at a time, in metres with `FILE_UP` upwards: what single-file scenes are read as.
+
+    A scene that was read from a single file comes out unchanged, and every scene looks the same from the same world
+    camera before and after it went through a single file.
+    """
+    world_to_file = np.eye(4)
+    world_to_file[:3, :3] = rotation_to_z_up(FILE_UP).T
+    return Gaussians.concatenate([moved(part.gaussians, world_to_file @ part.to_world) for part in scene.parts(time_s)])
