@@ -1,6 +1,6 @@
 """Which renderer draws: OpenGL on a GPU, the processor elsewhere."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Literal
 
@@ -14,7 +14,7 @@ Backend = Literal["auto", "opengl", "cpu"]
 
 
 @contextmanager
-def open_renderer(backend: Backend = "auto") -> Iterator[Renderer]:
+def open_renderer(backend: Backend = "auto") -> Generator[Renderer]:
     """Open a renderer without a window for as long as the block runs.
 
     auto takes OpenGL where a GPU executes it. A software rasterizer would draw the same picture on the same processor

@@ -3,7 +3,7 @@
 import ctypes
 import ctypes.util
 import os
-from typing import Literal
+from typing import Any, Literal
 
 import moderngl
 
@@ -42,11 +42,13 @@ def is_software(context: moderngl.Context) -> bool:
 
 
 def _open_egl() -> moderngl.Context:
-    return moderngl.create_context(standalone=True, backend="egl", require=REQUIRED_VERSION)
+    options: Any = {"backend": "egl"}  # moderngl's stub types keyword arguments of a loader as a dictionary
+    return moderngl.create_context(standalone=True, require=REQUIRED_VERSION, **options)
 
 
 def _open_osmesa() -> moderngl.Context:
-    return moderngl.create_context(context=_OSMesa(), require=REQUIRED_VERSION)
+    loader: Any = _OSMesa()
+    return moderngl.create_context(context=loader, require=REQUIRED_VERSION)
 
 
 class _OSMesa:

@@ -1,6 +1,6 @@
 """Where rendered frames go: a still, raw floats, a video, or a folder of numbered stills."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Protocol
@@ -21,7 +21,7 @@ class FrameSink(Protocol):
 
 
 @contextmanager
-def open_sink(path: Path, width: int, height: int, fps: float, *, with_depth: bool = False) -> Iterator[FrameSink]:
+def open_sink(path: Path, width: int, height: int, fps: float, *, with_depth: bool = False) -> Generator[FrameSink]:
     """Choose by suffix: .png, .npy, .mp4, .webm; anything without a suffix is a folder of PNG frames.
 
     Raises `ValueError` for another suffix.

@@ -11,7 +11,7 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Scene
 
 from .frame import Color
-from .splat_renderer import SplatRenderer
+from .renderer import Renderer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +27,7 @@ class Shot:
 
 
 def draw_shot(
-    renderer: SplatRenderer, scene: Scene, rainfall: Rainfall, sky: Color, shot: Shot, *, with_depth: bool = False
+    renderer: Renderer, scene: Scene, rainfall: Rainfall, sky: Color, shot: Shot, *, with_depth: bool = False
 ) -> RainGaussians | None:
     """Draw a scene in its rain into the renderer's picture; returns the rain that fell in it."""
     falling = rain_in(scene, rainfall, sky, shot)

@@ -13,7 +13,7 @@ from gsrain_engine.scene.scene import Scene
 from .frame import Frame
 from .scene_view import Shot, draw_shot
 from .sky_color import Sky, sky_color
-from .splat_renderer import SplatRenderer
+from .renderer import Renderer
 
 
 class RenderedFrame(NamedTuple):
@@ -49,13 +49,13 @@ class FrameSequence:
         along = float(self.camera.times_s[0]) + t
         return Shot(self.camera.camera(along, self.width, self.height), t, self.camera.velocity(along))
 
-    def sky(self, renderer: SplatRenderer) -> Sky:
+    def sky(self, renderer: Renderer) -> Sky:
         """Look at the sky from where the sequence begins."""
         place = self.camera if isinstance(self.camera, Camera) else self.camera.camera(0.0, self.width, self.height)
         return sky_color(renderer, self.scene, place)
 
     def render(
-        self, renderer: SplatRenderer, numbers: Iterable[int], sky: Sky, *, with_depth: bool = False
+        self, renderer: Renderer, numbers: Iterable[int], sky: Sky, *, with_depth: bool = False
     ) -> Iterator[RenderedFrame]:
         """Render frames by their numbers, in any order."""
         for number in numbers:

@@ -9,7 +9,7 @@ from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.scene import Part, Scene
 
 from .frame import Color
-from .splat_renderer import SplatRenderer
+from .renderer import Renderer
 
 _VIEWS, _WIDTH, _HEIGHT, _FOV_DEG = 4, 160, 120, 75.0
 _FAR_M = 60.0
@@ -24,7 +24,7 @@ class Sky(NamedTuple):
     found: bool
 
 
-def sky_color(renderer: SplatRenderer, scene: Scene, place: Camera, time_s: float = 0.0) -> Sky:
+def sky_color(renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0.0) -> Sky:
     """Look around from a camera's place and average, in linear light, what is sky.
 
     Sky is what a sky layer shows past everything else; in a scene without one, what is far above the horizon. Where

@@ -1,8 +1,7 @@
 """Draws Gaussians with OpenGL: project each once, sort by depth, blend instanced quads from back to front."""
 
-import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import moderngl
@@ -17,6 +16,7 @@ from gsrain_engine.scene.scene import Part
 from .frame import Frame
 from .gpu_arrays import CHUNK, GpuArrays
 from .shaders import load_compute_shader, load_program
+from .statistics import RenderStatistics, Stopwatch
 
 NEAR_M = 0.2
 """Gaussians whose centre is nearer than this are left out, as in the reference rasterizer."""
@@ -26,21 +26,13 @@ _CULLED = np.uint32(0xFFFFFFFF)
 _SPLATS, _DEPTHS, _ORDER = 4, 5, 6  # storage bindings after the four of the Gaussians
 
 
-@dataclass(slots=True)
-class RenderStatistics:
-    """What the last frame was made of."""
-
-    gaussians: int = 0
-    splats_drawn: int = 0
-    stages_ms: dict[str, float] = field(default_factory=dict[str, float])
-    """Wall time a stage: project, sort, draw (GPU work included, since each stage waits for its result)."""
-
-
 class SplatRenderer:
     """Renders scene and rain into one picture in the current OpenGL context.
 
     Call it on the thread and inside the context that it was made with.
     """
+
+    name = "opengl"
 
     def __init__(self, context: moderngl.Context, precision: Literal["half", "single"] = "single") -> None:
         self.context = context
@@ -117,8 +109,8 @@ class SplatRenderer:
         """Bring Gaussians to the GPU ahead of their first frame, a slice at each step."""
         return self.arrays.upload(gaussians, slice_size)
 
-    def _timed(self, stage: str) -> "_Stopwatch":
-        return _Stopwatch(self.statistics.stages_ms, stage)
+    def _timed(self, stage: str) -> Stopwatch:
+        return Stopwatch(self.statistics.stages_ms, stage)
 
     def _reserve(self, count: int) -> None:
         limit = self.context.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
@@ -243,19 +235,6 @@ class _Target:
         for texture in (self.color, self.shares, self.depth):
             if texture is not None:
                 texture.release()
-
-
-class _Stopwatch:
-    """Adds the wall time of a `with` block to a stage."""
-
-    def __init__(self, stages: dict[str, float], stage: str) -> None:
-        self._stages, self._stage = stages, stage
-
-    def __enter__(self) -> None:
-        self._start = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self._stages[self._stage] += 1000 * (time.perf_counter() - self._start)
 
 
 def back_to_front(depth_keys: UInt32[np.ndarray, " n"]) -> UInt32[np.ndarray, " m"]:

@@ -92,7 +92,7 @@ def test_bounds_that_are_not_finite_are_refused(bad: float, tmp_path: Path) -> N
     start = data.index(b"end_header\n") + len(b"end_header\n")
     for value in (0, 6):  # min_x, min_scale_x
         edited = bytearray(data)
-        edited[start + 4 * value : start + 4 * value + 8] = np.array([bad, -bad], "<f4").tobytes()
+        edited[start + 4 * value : start + 4 * value + 8] = np.array([bad, bad], "<f4").tobytes()
         (tmp_path / "a.ply").write_bytes(edited)
         if value == 0 and bad == 3e38:
             assert np.isfinite(read_ply(tmp_path / "a.ply").means).all()

@@ -135,7 +135,7 @@ HEADER_EDITS = {
     "no vertices": (b"element vertex", b"element vortex", "an element 'vertex', not vortex"),
     "terabytes": (b"vertex 300", b"vertex 300000000000", "cut off or its counts are wrong"),
     "endless number": (b"vertex 300", b"vertex " + b"9" * 5000, "cut off or its counts are wrong"),
-    "one too many": (b"vertex 300", b"vertex 301", "takes 76177 bytes; the file has 75929"),
+    "one too many": (b"vertex 300", b"vertex 301", "takes 76176 bytes; the file has 75928"),
     "negative": (b"vertex 300", b"vertex -1", "makes no sense: 'element vertex -1'"),
     "unknown type": (b"property float x", b"property quad x", "makes no sense: 'property quad x'"),
     "list": (b"property float nx", b"property list uchar int nx", "has a list property"),

@@ -1,0 +1,81 @@
+"""The table of single-file formats; a new one is one file with a reader and one row here."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from ..errors import SceneFormatError
+from ..gaussians import Gaussians
+from .atomic import whole_file
+from .ksplat import read_ksplat
+from .ply import read_ply, write_ply
+from .sog import read_sog
+from .splat import read_splat, write_splat
+from .spz import read_spz, write_spz
+
+
+class Format(NamedTuple):
+    """A way to keep Gaussians in one file."""
+
+    suffix: str
+    """End of the file's name, in lower case; the first row that matches counts."""
+    read: Callable[[Path], Gaussians]
+    write: Callable[[Gaussians, Path], None] | None
+    """Writes to just this path, which is beside the file's place; None where we only read."""
+    description: str
+
+
+FORMATS = (
+    Format(".compressed.ply", read_ply, None, "SuperSplat's compressed PLY: 16 bytes a Gaussian and its harmonics"),
+    Format(".ply", read_ply, write_ply, "3D Gaussian Splatting (Kerbl et al. 2023), lossless, SH degree 0 to 3"),
+    Format(".splat", read_splat, write_splat, "32 bytes a Gaussian, without view-dependent colour"),
+    Format(".spz", read_spz, write_spz, "Niantic's compressed format, versions 1 to 4; version 3 is written"),
+    Format(".ksplat", read_ksplat, None, "GaussianSplats3D's format, SH degree 0 to 2"),
+    Format(".sog", read_sog, None, "PlayCanvas' images in a zip file"),
+    Format("meta.json", read_sog, None, "PlayCanvas' images in a folder"),
+)
+
+
+def format_of(path: Path) -> Format | None:
+    """Row of the table that a file's name belongs to."""
+    return next((row for row in FORMATS if path.name.lower().endswith(row.suffix)), None)
+
+
+def read_gaussians(path: Path) -> Gaussians:
+    """Read a single file of any known format.
+
+    Raises:
+        SceneFormatError: When the name or the contents belong to no known format, or the file is damaged.
+        OSError: When there is no such file or it can't be read.
+    """
+    row = format_of(path)
+    if row is None:
+        raise SceneFormatError(path, f"no known scene format: the name must end in {_suffixes(FORMATS)}")
+    if path.exists() and not path.is_file():
+        raise SceneFormatError(path, "not a file")
+    return row.read(path)
+
+
+def write_gaussians(gaussians: Gaussians, path: Path) -> None:
+    """Write a single file of the format that its name says: whole, or not at all and what was there stays.
+
+    Raises:
+        SceneFormatError: When no format that can be written has this name, or the format can't hold the values.
+        OSError: When the file can't be written.
+    """
+    row = format_of(path)
+    if row is None or row.write is None:
+        writable = [each for each in FORMATS if each.write is not None]
+        raise SceneFormatError(path, f"can't be written: the name must end in {_suffixes(writable)}")
+    if path.is_dir():
+        raise SceneFormatError(path, "can't be written: a folder of that name is in the way")
+    with whole_file(path) as beside:
+        try:
+            row.write(gaussians, beside)
+        except ValueError as error:
+            raise SceneFormatError(path, str(error)) from None
+
+
+def _suffixes(rows: "tuple[Format, ...] | list[Format]") -> str:
+    *first, last = (row.suffix for row in rows)
+    return f"{', '.join(first)} or {last}"

@@ -1,0 +1,180 @@
+"""KSPLAT scenes (mkkellogg, https://github.com/mkkellogg/GaussianSplats3D), compression levels 0, 1 and 2."""
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Shaped
+
+from ..errors import SceneFormatError
+from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians
+from .checks import checked_gaussians
+
+_HEADER_BYTES = 4096
+_HEADER = struct.Struct("<BBxxIIIIHxx3fff")
+"""Version, sections (room, used), Gaussians (room, used), compression level, scene centre, range of 8-bit harmonics."""
+_SECTION_BYTES = 1024
+_SECTION = struct.Struct("<IIIIfHxxIIIIH")
+"""Gaussians (used, room), Gaussians a bucket, buckets, block size, bytes a bucket, quantization range, bytes of the
+section, full buckets, other buckets, SH degree.
+"""
+_BUCKET_BYTES = 12
+_POSITION_RANGE = 32767
+_HARMONICS_RANGE = 1.5
+"""Written where a header leaves the range of positions or of 8-bit harmonics at 0."""
+_LARGEST_DEGREE = 2
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    sections: int
+    count: int
+    level: int
+    harmonics_min: float
+    harmonics_max: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Section:
+    count: int
+    room: int
+    bucket_size: int
+    buckets: int
+    block_size: float
+    bucket_bytes: int
+    position_range: int
+    unused_bytes: int
+    full_buckets: int
+    other_buckets: int
+    sh_degree: int
+
+    @property
+    def bucket_table_bytes(self) -> int:
+        """Lengths of the buckets that are not full, then the centres of all."""
+        return 4 * self.other_buckets + self.bucket_bytes * self.buckets
+
+
+def read_ksplat(path: Path) -> Gaussians:
+    """Read a KSPLAT file; sections of different SH degree are padded with zeros to the highest.
+
+    Layout: `SplatBuffer.js` of version 0.4.7. Raises `SceneFormatError` where the file is damaged or cut off.
+    """
+    data = path.read_bytes()
+    header = _read_header(path, data)
+    start = _HEADER_BYTES + _SECTION_BYTES * header.sections
+    parts: list[Gaussians] = []
+    for index in range(header.sections):
+        section = _read_section(path, data, index)
+        record = _record(header.level, section.sh_degree)
+        end = start + section.bucket_table_bytes + record.itemsize * section.room
+        if end > len(data):
+            raise SceneFormatError(path, f"section {index} ends at byte {end}, the file has {len(data)}: it is cut off")
+        records_start = start + section.bucket_table_bytes
+        records = np.frombuffer(data, record, section.count, records_start)
+        centres = _bucket_centres(path, section, data[start:records_start]) if header.level else None
+        parts.append(_decode(path, header, section, records, centres))
+        start = end
+    found = sum(map(len, parts))
+    if found != header.count:
+        raise SceneFormatError(path, f"its sections hold {found} Gaussians, the header says {header.count}")
+    return Gaussians.concatenate(parts)
+
+
+def _read_header(path: Path, data: bytes) -> _Header:
+    if len(data) < _HEADER_BYTES:
+        raise SceneFormatError(path, f"a KSPLAT file has at least {_HEADER_BYTES} bytes, this one has {len(data)}")
+    major, minor, sections, _, _, count, level, _, _, _, low, high = _HEADER.unpack_from(data)
+    if major != 0 or minor < 1:
+        raise SceneFormatError(path, f"not a KSPLAT file of version 0.1 or above: its version is {major}.{minor}")
+    if level > 2:
+        raise SceneFormatError(path, f"compression level {level} can't be read, levels 0 to 2 can")
+    if _HEADER_BYTES + _SECTION_BYTES * sections > len(data):
+        raise SceneFormatError(path, f"the headers of {sections} sections don't fit into a file of {len(data)} bytes")
+    low, high = low or -_HARMONICS_RANGE, high or _HARMONICS_RANGE
+    if level == 2 and not low < high:
+        raise SceneFormatError(path, f"8-bit harmonics must range from low to high, not from {low} to {high}")
+    return _Header(sections, count, level, low, high)
+
+
+def _read_section(path: Path, data: bytes, index: int) -> _Section:
+    section = _Section(*_SECTION.unpack_from(data, _HEADER_BYTES + _SECTION_BYTES * index))
+    if section.count > section.room:
+        raise SceneFormatError(path, f"section {index} has room for {section.room} Gaussians and holds {section.count}")
+    if section.sh_degree > _LARGEST_DEGREE:
+        raise SceneFormatError(path, f"section {index}: SH degree {section.sh_degree}, 0 to 2 would be right")
+    return section
+
+
+def _record(level: int, sh_degree: int) -> np.dtype[np.void]:
+    """One Gaussian, without gaps between the fields."""
+    number = "<f4" if level == 0 else "<f2"
+    rest = 3 * (COEFFICIENTS_OF_DEGREE[sh_degree] - 1)
+    return np.dtype(
+        [
+            ("mean", "<f4" if level == 0 else "<u2", 3),
+            ("scale", number, 3),
+            ("quaternion", number, 4),
+            ("color", "u1", 4),
+            ("harmonics", ("<f4", "<f2", "u1")[level], rest),
+        ]
+    )
+
+
+def _bucket_centres(path: Path, section: _Section, table: bytes) -> Float32[np.ndarray, "n 3"]:
+    """Centre of the bucket of every Gaussian: the full buckets come first."""
+    if section.bucket_bytes != _BUCKET_BYTES or section.full_buckets + section.other_buckets > section.buckets:
+        raise SceneFormatError(
+            path,
+            f"{section.full_buckets} full and {section.other_buckets} other buckets of {section.bucket_bytes} bytes "
+            f"can't be: there are {section.buckets} of {_BUCKET_BYTES} bytes",
+        )
+    lengths = np.frombuffer(table, "<u4", section.other_buckets).astype(np.int64)
+    centres = np.frombuffer(table, "<f4", 3 * section.buckets, 4 * section.other_buckets).reshape(-1, 3)
+    ends = np.cumsum(np.concatenate([np.full(section.full_buckets, section.bucket_size), lengths]))
+    held = int(ends[-1]) if len(ends) else 0
+    if section.count > held:
+        raise SceneFormatError(path, f"the buckets of a section hold {held} of its {section.count} Gaussians")
+    return centres[np.searchsorted(ends, np.arange(section.count), side="right")].astype(np.float32)
+
+
+def _decode(
+    path: Path,
+    header: _Header,
+    section: _Section,
+    records: Shaped[np.ndarray, " n"],
+    centres: Float32[np.ndarray, "n 3"] | None,
+) -> Gaussians:
+    # Damaged floats warn when they are widened or multiplied; the checks below name them.
+    with np.errstate(invalid="ignore", over="ignore"):
+        means = records["mean"].astype(np.float32)
+        if centres is not None:
+            steps = section.position_range or _POSITION_RANGE
+            means = (means - np.float32(steps)) * np.float32(section.block_size / 2 / steps) + centres
+        scales = records["scale"].astype(np.float32)
+        quaternions = records["quaternion"].astype(np.float32)
+        sh = _decode_harmonics(header, section, records)
+    negative = np.count_nonzero((scales < 0).any(axis=1))
+    if negative:
+        raise SceneFormatError(path, f"{negative} of {len(scales)} Gaussians have a negative scale")
+    # The format's quaternions are normalized; the square of a damaged one could overflow below.
+    long = np.count_nonzero((np.abs(quaternions) > 2).any(axis=1))
+    if long:
+        raise SceneFormatError(path, f"{long} of {len(scales)} Gaussians have a quaternion longer than 1")
+    return checked_gaussians(path, means, scales, quaternions, records["color"][:, 3] / np.float32(255), sh)
+
+
+def _decode_harmonics(
+    header: _Header, section: _Section, records: Shaped[np.ndarray, " n"]
+) -> Float32[np.ndarray, "n k 3"]:
+    stored = records["harmonics"].astype(np.float32)
+    if header.level == 2:
+        stored = header.harmonics_min + stored / 255 * (header.harmonics_max - header.harmonics_min)
+    sh = np.empty((len(records), COEFFICIENTS_OF_DEGREE[section.sh_degree], 3), np.float32)
+    sh[:, 0] = (records["color"][:, :3] / np.float32(255) - np.float32(0.5)) / np.float32(SH_C0)
+    for degree in range(1, section.sh_degree + 1):
+        first, end = COEFFICIENTS_OF_DEGREE[degree - 1], COEFFICIENTS_OF_DEGREE[degree]
+        # Channel by channel within a degree: all reds, all greens, all blues.
+        band = stored[:, 3 * (first - 1) : 3 * (end - 1)].reshape(len(records), 3, end - first)
+        sh[:, first:end] = band.transpose(0, 2, 1)
+    return sh

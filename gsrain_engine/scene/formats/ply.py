@@ -1,0 +1,143 @@
+"""The PLY file of 3D Gaussian Splatting (Kerbl et al. 2023): logs, logits and harmonics as 32-bit floats."""
+
+import re
+from io import BufferedReader
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from ..errors import SceneFormatError
+from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
+from .checks import check_finite, checked_gaussians
+from .compressed_ply import is_compressed, read_compressed
+from .ply_header import PlyElement, element_rows, read_ply_header
+
+_MEANS = ("x", "y", "z")
+_BASE_SH = ("f_dc_0", "f_dc_1", "f_dc_2")
+_SCALES = ("scale_0", "scale_1", "scale_2")
+_QUATERNIONS = ("rot_0", "rot_1", "rot_2", "rot_3")
+_REQUIRED = (*_MEANS, *_BASE_SH, "opacity", *_SCALES, *_QUATERNIONS)
+_NORMALS = ("nx", "ny", "nz")
+"""Written as zeros, as by 3DGS itself: some readers count properties instead of reading their names."""
+
+_CHUNK_BYTES = 1 << 18
+"""Rows are read and spread over the arrays in pieces that stay in the processor's cache."""
+_LARGEST_LOGIT = 100.0
+"""Written for an opacity of 1 or 0, whose logit is infinite: it gives just 1 or 0 back in 32-bit floats."""
+_SMALLEST_SCALE = np.float32(1e-37)
+"""Written for a scale of 0, whose logarithm is infinite."""
+
+
+def read_ply(path: Path) -> Gaussians:
+    """Read a 3DGS PLY of SH degree 0 to 3, or SuperSplat's compressed PLY, which is told from its header.
+
+    Properties may stand in any order and be of any type, in either byte order; those that 3DGS does not know, and other
+    elements, are passed over. Memory: the arrays and one piece of 256 KB.
+
+    Raises:
+        SceneFormatError: When the file is damaged or is not a file of Gaussians.
+    """
+    with path.open("rb") as file:
+        elements = read_ply_header(path, file)
+        if is_compressed(elements):
+            return read_compressed(path, file, elements)
+        if "vertex" not in elements:
+            found = ", ".join(elements) or "none"
+            raise SceneFormatError(path, f"a PLY of Gaussians has an element 'vertex', not {found}")
+        return _read_vertices(path, file, elements["vertex"])
+
+
+def write_ply(gaussians: Gaussians, path: Path) -> None:
+    """Write the standard 3DGS layout, little endian, with normals of 0; f_rest has 0, 9, 24 or 45 properties."""
+    rest = 3 * (gaussians.sh.shape[1] - 1)
+    names = [*_MEANS, *_NORMALS, *_BASE_SH, *(f"f_rest_{i}" for i in range(rest)), "opacity", *_SCALES, *_QUATERNIONS]
+    properties = "".join(f"property float {name}\n" for name in names)
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(gaussians)}\n{properties}end_header\n"
+    rows = max(1, _CHUNK_BYTES // (4 * len(names)))
+    with path.open("wb") as file:
+        file.write(header.encode())
+        for start in range(0, len(gaussians), rows):
+            file.write(_rows(gaussians.take(slice(start, start + rows))).data)
+
+
+def _read_vertices(path: Path, file: BufferedReader, vertex: PlyElement) -> Gaussians:
+    dtype, offset = element_rows(path, vertex)
+    coefficients = _coefficients(path, dtype)
+    n = vertex.rows
+    means, scales, quaternions = (np.empty((n, size), np.float32) for size in (3, 3, 4))
+    opacities = np.empty(n, np.float32)
+    sh = np.empty((n, coefficients, 3), np.float32)
+    columns = dict(zip(_MEANS, means.T, strict=True)) | dict(zip(_SCALES, scales.T, strict=True))
+    columns |= dict(zip(_QUATERNIONS, quaternions.T, strict=True)) | {"opacity": opacities}
+    columns |= _sh_columns(sh)
+    file.seek(offset)
+    # Numbers too large for 32 bits become infinite, and are named below.
+    with np.errstate(over="ignore", invalid="ignore"):
+        _spread_rows(path, file, n, dtype, columns)
+        check_finite(path, {"logarithm of a scale": scales, "logit of an opacity": opacities})
+        np.exp(scales, out=scales)
+        activate_opacities(opacities)
+    return checked_gaussians(path, means, scales, quaternions, opacities, sh)
+
+
+def activate_opacities(logits: Float32[np.ndarray, " n"]) -> None:
+    """Turn logits into opacities in place: 1 / (1 + exp(-x))."""
+    with np.errstate(over="ignore"):  # exp of what is far below 0 is infinite, and the opacity 0
+        np.exp(np.negative(logits, out=logits), out=logits)
+    logits += 1
+    np.reciprocal(logits, out=logits)
+
+
+def _coefficients(path: Path, dtype: "np.dtype[Any]") -> int:
+    """How many spherical harmonics a colour has, from the names of the properties."""
+    names = dtype.names or ()
+    missing = [name for name in _REQUIRED if name not in names]
+    if missing:
+        raise SceneFormatError(path, f"element 'vertex' has no property {', '.join(missing)}: not a PLY of Gaussians")
+    rest = {name for name in names if re.fullmatch(r"f_rest_\d+", name)}
+    expected = {3 * (coefficients - 1): coefficients for coefficients in COEFFICIENTS_OF_DEGREE}
+    if len(rest) not in expected or rest != {f"f_rest_{i}" for i in range(len(rest))}:
+        raise SceneFormatError(
+            path, f"{len(rest)} properties f_rest_*: expected 0, 9, 24 or 45, counted from f_rest_0 (SH degree 0 to 3)"
+        )
+    return expected[len(rest)]
+
+
+def _sh_columns(sh: Float32[np.ndarray, "n k 3"]) -> dict[str, Float32[np.ndarray, " n"]]:
+    """Where each property goes: the file has all harmonics of red, then of green, then of blue."""
+    rest = sh.shape[1] - 1
+    columns = {name: sh[:, 0, channel] for channel, name in enumerate(_BASE_SH)}
+    columns |= {f"f_rest_{c * rest + k}": sh[:, 1 + k, c] for c in range(3) for k in range(rest)}
+    return columns
+
+
+def _spread_rows(
+    path: Path, file: BufferedReader, count: int, dtype: "np.dtype[Any]", columns: dict[str, Float32[np.ndarray, " n"]]
+) -> None:
+    """Copy the properties of the file's next `count` rows into one array each."""
+    piece = np.empty(min(count, max(1, _CHUNK_BYTES // dtype.itemsize)), dtype)
+    for start in range(0, count, len(piece) or 1):
+        rows = piece[: count - start]
+        if file.readinto(rows.view(np.uint8).data) != rows.nbytes:
+            raise SceneFormatError(path, "the file became shorter while it was read")
+        for name, column in columns.items():
+            column[start : start + len(rows)] = rows[name]
+
+
+def _rows(gaussians: Gaussians) -> Float32[np.ndarray, "n p"]:
+    n = len(gaussians)
+    opacities = gaussians.opacities.astype(np.float64)
+    with np.errstate(divide="ignore"):
+        logits = np.clip(np.log(opacities) - np.log1p(-opacities), -_LARGEST_LOGIT, _LARGEST_LOGIT)
+    columns = (
+        gaussians.means,
+        np.zeros((n, 3)),
+        gaussians.sh[:, 0],
+        gaussians.sh[:, 1:].transpose(0, 2, 1).reshape(n, -1),
+        logits[:, None],
+        np.log(np.maximum(gaussians.scales, _SMALLEST_SCALE)),
+        gaussians.quaternions,
+    )
+    return np.concatenate(columns, axis=1, dtype="<f4")

@@ -1,0 +1,135 @@
+"""Headers of PLY files: which elements there are, where each begins and how one of its rows is laid out."""
+
+import logging
+import os
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+
+from ..errors import SceneFormatError
+
+logger = logging.getLogger("gsrain")
+
+_LARGEST_HEADER = 1 << 20
+"""Bytes in which `end_header` must come; real headers have 2 KB."""
+_DIGITS = 20
+"""Digits of a count that are read: more rows than any file has, and no number that takes long to read."""
+_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
+    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+
+
+class PlyElement(NamedTuple):
+    """One kind of row in a PLY file."""
+
+    name: str
+    rows: int
+    dtype: "np.dtype[Any] | None"
+    """Fields of a row; None where it has lists, whose rows differ in length."""
+    offset: int | None
+    """Byte in the file where its first row begins; None where that can't be known without reading lists."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all its rows, 0 where they have lists."""
+        return self.rows * self.dtype.itemsize if self.dtype is not None else 0
+
+
+def read_ply_header(path: Path, file: BinaryIO) -> dict[str, PlyElement]:
+    """Read the header of a binary PLY file and check that the file has room for the rows that it lists.
+
+    Raises:
+        SceneFormatError: When the file is no PLY, is text (ascii), has a damaged header, or is shorter than its
+            header says.
+    """
+    lines, size = _header_lines(path, file)
+    elements = _elements(path, lines, _byte_order(path, lines), size)
+    _check_size(path, elements, size, os.fstat(file.fileno()).st_size)
+    return {element.name: element for element in elements}
+
+
+def element_rows(path: Path, element: PlyElement) -> tuple["np.dtype[Any]", int]:
+    """Layout of an element's rows and the byte where they begin; refuses what lists make unreadable."""
+    if element.dtype is None:
+        raise SceneFormatError(path, f"element {element.name!r} has a list property, a Gaussian has only numbers")
+    if element.offset is None:
+        raise SceneFormatError(path, f"element {element.name!r} must stand before elements with list properties")
+    return element.dtype, element.offset
+
+
+def _header_lines(path: Path, file: BinaryIO) -> tuple[list[list[str]], int]:
+    """Words of every line after the first, and the size of the header in bytes."""
+    start = file.read(_LARGEST_HEADER)
+    if not start.startswith((b"ply\n", b"ply\r\n")):
+        raise SceneFormatError(path, "not a PLY file: it must start with the line 'ply'")
+    mark = start.find(b"\nend_header")
+    end = start.find(b"\n", mark + 1)
+    if mark < 0 or end < 0 or start[mark:end].strip() != b"end_header":
+        raise SceneFormatError(path, f"the PLY header has no line 'end_header' in its first {_LARGEST_HEADER} bytes")
+    text = start[:mark].decode("utf-8", errors="replace")
+    return [line.split() for line in text.splitlines()[1:]], end + 1
+
+
+def _byte_order(path: Path, lines: list[list[str]]) -> str:
+    formats = [words[1] for words in lines if words[:1] == ["format"] and len(words) > 1]
+    if formats == ["ascii"]:
+        raise SceneFormatError(path, "PLY as text (format ascii) can't be read, binary_little_endian can")
+    if len(formats) != 1 or formats[0] not in _BYTE_ORDERS:
+        found = ", ".join(formats) or "none"
+        raise SceneFormatError(
+            path, f"the PLY header must hold one line 'format binary_little_endian 1.0', not {found}"
+        )
+    return _BYTE_ORDERS[formats[0]]
+
+
+def _elements(path: Path, lines: list[list[str]], byte_order: str, header_size: int) -> list[PlyElement]:
+    counts: dict[str, int] = {}
+    fields: dict[str, dict[str, str] | None] = {}
+    name = None
+    for words in lines:
+        match words:
+            case ["element", name, count] if name not in counts and count.isascii() and count.isdigit():
+                counts[name], fields[name] = int(count[:_DIGITS]), {}
+            case ["property", "list", *_] if name is not None:
+                fields[name] = None
+            case ["property", kind, field] if name is not None and kind in _TYPES:
+                _add_field(path, fields[name], field, byte_order + _TYPES[kind])
+            case [] | ["format" | "comment" | "obj_info", *_]:
+                pass
+            case _:
+                raise SceneFormatError(path, f"the PLY header has a line that makes no sense: {' '.join(words)[:80]!r}")
+    elements: list[PlyElement] = []
+    offset: int | None = header_size
+    for name, count in counts.items():
+        found = fields[name]
+        element = PlyElement(name, count, np.dtype(list(found.items())) if found is not None else None, offset)
+        offset = offset + element.nbytes if offset is not None and element.dtype is not None else None
+        elements.append(element)
+    return elements
+
+
+def _add_field(path: Path, fields: dict[str, str] | None, name: str, kind: str) -> None:
+    if fields is None:
+        return
+    if name in fields:
+        raise SceneFormatError(path, f"the PLY header lists property {name!r} twice")
+    fields[name] = kind
+
+
+def _check_size(path: Path, elements: list[PlyElement], header_size: int, file_size: int) -> None:
+    """Refuse a file too short for its header; one that is longer exists in the wild (rows cut by editing the count)."""
+    expected = header_size + sum(element.nbytes for element in elements)
+    rows = ", ".join(f"{element.rows} {element.name}" for element in elements)
+    if file_size < expected:
+        raise SceneFormatError(
+            path,
+            f"the header lists {rows}, which takes {expected} bytes; the file has {file_size}: "
+            "it is cut off or its counts are wrong",
+        )
+    if file_size > expected and all(element.dtype is not None for element in elements):
+        logger.warning("%s: %d bytes follow the rows that the header lists (%s)", path, file_size - expected, rows)

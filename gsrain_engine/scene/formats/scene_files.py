@@ -1,0 +1,65 @@
+"""Scenes in and out of files and folders, whatever their format."""
+
+import re
+from pathlib import Path
+
+from ..errors import SceneFormatError
+from ..flattening import FILE_UP, flattened
+from ..gaussians import Gaussians
+from ..scene import Layer, Scene
+from .gaussian_files import format_of, read_gaussians, write_gaussians
+from .scene_folder import SCENE_FILE, read_scene_folder, write_scene_folder
+from .sog import read_sog
+
+_SOG_FILE = "meta.json"
+
+
+def read_scene(path: Path | str) -> Scene:
+    """Read a scene folder, a file of any format in `FORMATS`, or a SOG folder.
+
+    A single file becomes one background layer named after it, in units of 1 m with -y upwards: the axes of COLMAP and
+    3DGS captures, and a guess for the units that the file does not hold.
+
+    Raises:
+        SceneFormatError: When it is no scene, is damaged, or is from a newer program; one sentence says what is wrong.
+        OSError: When it does not exist or can't be read.
+    """
+    path = Path(path)
+    if path.name == SCENE_FILE:
+        path = path.parent
+    if not path.is_dir():
+        return _single_layer(_stem(path), read_gaussians(path))
+    if (path / SCENE_FILE).is_file():
+        return read_scene_folder(path)
+    if (path / _SOG_FILE).is_file():
+        return _single_layer(path.resolve().name, read_sog(path))
+    raise SceneFormatError(path, f"a scene folder holds {SCENE_FILE} and a SOG folder {_SOG_FILE}; this has neither")
+
+
+def write_scene(scene: Scene, path: Path | str) -> None:
+    """Write a scene folder, or, where the name ends in a suffix of `FORMATS`, a single file. Missing parents are made.
+
+    A single file gets all visible layers, and the visible actors where they are at time 0, in metres with -y upwards
+    (see `flattened`). Either is written whole or not at all; what it replaces stays until then.
+
+    Raises:
+        SceneFormatError: When the format can't be written or something else is in the way.
+        OSError: When the disk refuses.
+    """
+    path = Path(path)
+    is_folder = path.is_dir() or (format_of(path) is None and not re.fullmatch(r"\.[A-Za-z]\w*", path.suffix))
+    path.absolute().parent.mkdir(parents=True, exist_ok=True)
+    if is_folder:
+        write_scene_folder(scene, path)
+    else:
+        write_gaussians(flattened(scene), path)
+
+
+def _single_layer(name: str, gaussians: Gaussians) -> Scene:
+    return Scene(name, layers=(Layer(name, gaussians),), up=FILE_UP)
+
+
+def _stem(path: Path) -> str:
+    """Name of a file without the suffix of its format; a file that is only a suffix lends its folder's name."""
+    row = format_of(path)
+    return path.name[: -len(row.suffix)] if row and len(path.name) > len(row.suffix) else path.resolve().parent.name

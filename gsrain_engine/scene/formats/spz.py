@@ -1,0 +1,251 @@
+"""SPZ scenes (Niantic Labs, https://github.com/nianticlabs/spz), versions 1 to 4; written as version 3."""
+
+import gzip
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from ..errors import SceneFormatError
+from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
+from .bounded import check_expansion, gunzip, gunzip_start, unzstd
+from .checks import checked_gaussians
+from .smallest_three import with_largest, without_largest
+
+_MAGIC = b"NGSP"
+_GZIP_MAGIC = b"\x1f\x8b"
+_HEADER = struct.Struct("<4sIIBBBB")
+"""Magic, version, number of Gaussians, SH degree, fractional bits, flags, number of streams (0 before version 4)."""
+_CONTENTS_OFFSET = struct.Struct("<I12x")
+"""What follows the header in version 4: where the table of contents is."""
+_STREAM_SIZES = struct.Struct("<QQ")
+"""One entry of that table: compressed and unpacked size of a stream in bytes."""
+_EXTENSIONS_FLAG = 2
+_EXTENSIONS_BYTES = 2**20
+"""Vendors' extensions, camera limits and the like, follow the Gaussians in versions 2 and 3; we leave them unread."""
+_FRACTIONAL_BITS = 23
+"""Most that a 24-bit fixed-point coordinate can have besides its sign."""
+_WRITTEN_FRACTIONAL_BITS = 16
+"""Finest step we write: 15 micrometres in a scene in metres."""
+_COLOR_SCALE = 0.15
+"""SPZ stores sh[0] * 0.15 + 0.5 as colour, so that colours from -0.44 to 1.44 fit, not 0 to 1."""
+
+_POINT_FLIP = np.array([1, -1, -1], np.float32)
+_XYZW_FLIP = np.array([1, -1, -1, 1], np.float32)
+_SH_FLIP = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
+"""SPZ axes are right, up, back; those of PLY, which are ours, right, down, front: half a turn about x.
+
+It negates y and z, and every harmonic that is odd in y and z together.
+"""
+
+_SCALES = np.exp(np.arange(256, dtype=np.float32) / 16 - 10)
+_OPACITIES = np.arange(256, dtype=np.float32) / 255
+_BASE_SH = ((np.arange(256) / 255 - 0.5) / _COLOR_SCALE).astype(np.float32)
+_REST_SH = (np.arange(256, dtype=np.float32) - 128) / 128
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    version: int
+    count: int
+    sh_degree: int
+    fractional_bits: int
+    flags: int
+    streams: int
+
+    @property
+    def coefficients(self) -> int:
+        return COEFFICIENTS_OF_DEGREE[self.sh_degree]
+
+    @property
+    def stream_sizes(self) -> dict[str, int]:
+        """Bytes of every attribute, in file order."""
+        sizes = {
+            "means": 6 if self.version == 1 else 9,
+            "opacities": 1,
+            "colours": 3,
+            "scales": 3,
+            "quaternions": 3 if self.version <= 2 else 4,
+            "spherical harmonics": 3 * (self.coefficients - 1),
+        }
+        return {name: size * self.count for name, size in sizes.items()}
+
+
+def read_spz(path: Path) -> Gaussians:
+    """Read an SPZ file of version 1, 2, 3 (gzip, or not compressed at all) or 4 (zstd), turned into PLY axes.
+
+    Raises `SceneFormatError` where the file is damaged or has a version or SH degree above 4 or 3.
+    """
+    data = path.read_bytes()
+    gzipped = data.startswith(_GZIP_MAGIC)
+    header = _read_header(path, gunzip_start(path, data, _HEADER.size) if gzipped else data)
+    if gzipped and header.version >= 4:
+        raise SceneFormatError(path, f"SPZ version {header.version} inside gzip: only versions 1 to 3 are gzipped")
+    check_expansion(path, header.count, header.coefficients, len(data))
+    streams = _zstd_streams(path, data, header) if header.version >= 4 else _plain_streams(path, data, header)
+    return _decode(path, header, streams)
+
+
+def write_spz(gaussians: Gaussians, path: Path) -> None:
+    """Write an SPZ file to exactly this path, not atomically; see `encode_spz` for version, losses and errors."""
+    path.write_bytes(encode_spz(gaussians))
+
+
+def encode_spz(gaussians: Gaussians) -> bytes:
+    """Encode Gaussians, in PLY axes, as SPZ version 3.
+
+    Version 3 and not 4, because more viewers read it (gzip is in every browser, zstd is not), and version 4 saves only
+    a tenth of the size. Harmonics keep 8 bits and means up to 16 fractional bits, more than Niantic's own writer gives,
+    in files that are 40 % larger: the step is 1/128 for harmonics, 1/16 for the logarithm of scales. What lies outside
+    SPZ's ranges is clamped: scales to e^-10 .. e^5.9, harmonics above degree 0 to -1 .. 127/128.
+
+    Raises `ValueError` where a mean is not finite or farther out than 2^23 units.
+    """
+    fractional_bits = _fitting_fractional_bits(gaussians.means)
+    header = _HEADER.pack(_MAGIC, 3, len(gaussians), gaussians.sh_degree, fractional_bits, 0, 0)
+    body = (
+        _encode_means(gaussians.means, fractional_bits),
+        _bytes_of(gaussians.opacities * 255),
+        _bytes_of((gaussians.sh[:, 0] * _COLOR_SCALE + 0.5) * 255),
+        _bytes_of((np.log(np.maximum(gaussians.scales, 1e-10)) + 10) * 16),
+        _encode_quaternions(gaussians.quaternions),
+        _bytes_of((gaussians.sh * _SH_FLIP[: gaussians.sh.shape[1], None])[:, 1:] * 128 + 128),
+    )
+    # No time stamp: the same scene always makes the same bytes.
+    return gzip.compress(b"".join((header, *body)), mtime=0)
+
+
+def _read_header(path: Path, start: bytes) -> _Header:
+    if len(start) < _HEADER.size:
+        raise SceneFormatError(path, f"an SPZ file has a header of {_HEADER.size} bytes, this one has {len(start)}")
+    magic, *values = _HEADER.unpack_from(start)
+    header = _Header(*values)
+    if magic != _MAGIC:
+        raise SceneFormatError(path, f"not an SPZ file: it starts with {magic!r} where {_MAGIC!r} belongs")
+    if not 1 <= header.version <= 4:
+        raise SceneFormatError(path, f"SPZ version {header.version} can't be read, versions 1 to 4 can")
+    if header.sh_degree >= len(COEFFICIENTS_OF_DEGREE):
+        raise SceneFormatError(path, f"SH degree {header.sh_degree} can't be read, degrees 0 to 3 can")
+    if header.fractional_bits > _FRACTIONAL_BITS:
+        raise SceneFormatError(path, f"{header.fractional_bits} fractional bits, at most {_FRACTIONAL_BITS} can be")
+    return header
+
+
+def _plain_streams(path: Path, data: bytes, header: _Header) -> dict[str, bytes]:
+    """Attributes of versions 1 to 3, which follow one another."""
+    sizes = header.stream_sizes
+    expected = _HEADER.size + sum(sizes.values())
+    extensions = _EXTENSIONS_BYTES if header.flags & _EXTENSIONS_FLAG else 0
+    if data.startswith(_GZIP_MAGIC):
+        data = gunzip(path, data, expected + extensions)
+    if not expected <= len(data) <= expected + extensions:
+        raise SceneFormatError(
+            path, f"{header.count} Gaussians of SH degree {header.sh_degree} take {expected} bytes, not {len(data)}"
+        )
+    ends = np.cumsum([_HEADER.size, *sizes.values()]).tolist()
+    return {name: data[start:end] for name, start, end in zip(sizes, ends[:-1], ends[1:], strict=True)}
+
+
+def _zstd_streams(path: Path, data: bytes, header: _Header) -> dict[str, bytes]:
+    """Attributes of version 4: a zstd frame each, listed in a table of contents."""
+    sizes = header.stream_sizes
+    if header.sh_degree == 0 and header.streams == len(sizes) - 1:
+        del sizes["spherical harmonics"]
+    if header.streams != len(sizes):
+        raise SceneFormatError(path, f"{header.streams} streams, {len(sizes)} would be right")
+    listed = _table_of_contents(path, data, header.streams)
+    streams: dict[str, bytes] = {}
+    for (name, size), (start, end, unpacked_size) in zip(sizes.items(), listed, strict=True):
+        if unpacked_size != size:
+            raise SceneFormatError(path, f"the stream of {name} must hold {size} bytes, the file says {unpacked_size}")
+        streams[name] = unzstd(path, data[start:end], size, name)
+    return {"spherical harmonics": b"", **streams}
+
+
+def _table_of_contents(path: Path, data: bytes, streams: int) -> list[tuple[int, int, int]]:
+    """Start, end and unpacked size of every stream."""
+    table = _HEADER.size + _CONTENTS_OFFSET.size
+    if len(data) >= table:
+        table = _CONTENTS_OFFSET.unpack_from(data, _HEADER.size)[0]
+    start = table + streams * _STREAM_SIZES.size
+    if table < _HEADER.size + _CONTENTS_OFFSET.size or start > len(data):
+        raise SceneFormatError(path, f"the table of contents at byte {table} is outside the file's {len(data)} bytes")
+    listed: list[tuple[int, int, int]] = []
+    for packed_size, unpacked_size in _STREAM_SIZES.iter_unpack(data[table:start]):
+        listed.append((start, start + packed_size, unpacked_size))
+        start += packed_size
+    if start > len(data):
+        raise SceneFormatError(path, f"the streams take {start} bytes, the file has {len(data)}: it is cut off")
+    return listed
+
+
+def _decode(path: Path, header: _Header, streams: dict[str, bytes]) -> Gaussians:
+    n = header.count
+    raw = {name: np.frombuffer(stream, np.uint8) for name, stream in streams.items()}
+    sh = np.empty((n, header.coefficients, 3), np.float32)
+    sh[:, 0] = _BASE_SH[raw["colours"].reshape(n, 3)]
+    sh[:, 1:] = _REST_SH[raw["spherical harmonics"].reshape(n, header.coefficients - 1, 3)]
+    sh *= _SH_FLIP[: header.coefficients, None]
+    return checked_gaussians(
+        path,
+        _decode_means(header, streams["means"]) * _POINT_FLIP,
+        _SCALES[raw["scales"].reshape(n, 3)],
+        _decode_quaternions(header, streams["quaternions"]),
+        _OPACITIES[raw["opacities"]],
+        sh,
+    )
+
+
+def _decode_means(header: _Header, stream: bytes) -> Float32[np.ndarray, "n 3"]:
+    if header.version == 1:
+        with np.errstate(invalid="ignore"):  # signalling NaNs; the check at the end names them
+            return np.frombuffer(stream, "<f2").astype(np.float32).reshape(header.count, 3)
+    fixed = np.zeros((3 * header.count, 4), np.uint8)
+    fixed[:, 1:] = np.frombuffer(stream, np.uint8).reshape(-1, 3)
+    # The 24 bits stand in the upper part of 32, so that the shift back brings their sign along.
+    integers = fixed.view("<i4").reshape(header.count, 3) >> 8
+    return integers.astype(np.float32) / np.float32(1 << header.fractional_bits)
+
+
+def _decode_quaternions(header: _Header, stream: bytes) -> Float32[np.ndarray, "n 4"]:
+    if header.version <= 2:
+        xyz = np.frombuffer(stream, np.uint8).reshape(header.count, 3).astype(np.float32) / np.float32(127.5) - 1
+        xyzw = with_largest(np.full(header.count, 3), xyz)
+    else:
+        packed = np.frombuffer(stream, "<u4")
+        # From the top: 2 bits for the largest, then a sign and 9 bits of magnitude for each of the others in order.
+        fields = (packed[:, None] >> np.array([20, 10, 0], np.uint32)) & 1023
+        magnitudes = (fields & 511).astype(np.float32) * np.float32(np.sqrt(0.5) / 511)
+        xyzw = with_largest(packed >> 30, np.where(fields & 512, -magnitudes, magnitudes))
+    return (xyzw * _XYZW_FLIP)[:, [3, 0, 1, 2]]
+
+
+def _fitting_fractional_bits(means: Float32[np.ndarray, "n 3"]) -> int:
+    reach = float(np.abs(means).max()) if means.size else 0.0
+    for bits in range(_WRITTEN_FRACTIONAL_BITS, -1, -1):
+        if reach * (1 << bits) < (1 << 23) - 1:
+            return bits
+    raise ValueError(f"SPZ holds means up to {(1 << 23) - 1} units from the origin, not {reach:g}")
+
+
+def _encode_means(means: Float32[np.ndarray, "n 3"], fractional_bits: int) -> bytes:
+    fixed = np.rint((means * _POINT_FLIP).astype(np.float64) * (1 << fractional_bits)).astype("<i4")
+    return fixed.reshape(-1, 1).view(np.uint8)[:, :3].tobytes()
+
+
+def _encode_quaternions(quaternions: Float32[np.ndarray, "n 4"]) -> bytes:
+    largest, others = without_largest(quaternions[:, [1, 2, 3, 0]] * _XYZW_FLIP)
+    magnitudes = np.rint(np.abs(others) * np.float32(511 * np.sqrt(2))).astype(np.uint32)
+    fields = np.minimum(magnitudes, 511) | np.where(others < 0, 512, 0).astype(np.uint32)
+    packed = (largest.astype(np.uint32) << 30) | (fields[:, 0] << 20) | (fields[:, 1] << 10) | fields[:, 2]
+    return packed.astype("<u4").tobytes()
+
+
+def _bytes_of(values: Float32[np.ndarray, "*n"]) -> bytes:
+    return _rounded(values).tobytes()
+
+
+def _rounded(values: Float32[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
