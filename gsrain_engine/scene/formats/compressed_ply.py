@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, UInt32
+from jaxtyping import Float32, UInt
 
 from ..errors import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians
@@ -39,7 +39,8 @@ def read_compressed(path: Path, file: BufferedReader, elements: dict[str, PlyEle
     Raises:
         SceneFormatError: When a property is missing, counts contradict one another or bounds are not finite.
     """
-    packed = _read(path, file, elements["vertex"], _PACKED)
+    rows = _read(path, file, elements["vertex"], _PACKED)
+    packed = {name: _unsigned(path, rows, name, "uint32") for name in _PACKED}
     chunk = elements["chunk"]
     n = elements["vertex"].rows
     if chunk.rows != -(-n // _CHUNK):
@@ -92,6 +93,13 @@ def _read(
     return np.frombuffer(data, dtype)
 
 
+def _unsigned(path: Path, rows: "np.ndarray[Any, np.dtype[Any]]", name: str, kind: str) -> UInt[np.ndarray, " n"]:
+    """One property, in this machine's byte order; `kind` is the type that holds the packed bits."""
+    if rows[name].dtype.newbyteorder("=") != kind:
+        raise SceneFormatError(path, f"property {name} of a compressed PLY must be {kind}, not {rows[name].dtype}")
+    return rows[name].astype(kind)
+
+
 def _read_sh(path: Path, file: BufferedReader, element: PlyElement | None, n: int) -> Float32[np.ndarray, "n k 3"]:
     """Read the harmonics of all degrees; degree 0 is left unset."""
     if element is None:
@@ -107,7 +115,7 @@ def _read_sh(path: Path, file: BufferedReader, element: PlyElement | None, n: in
     rest = expected[count] - 1
     for channel in range(3):
         for k in range(rest):
-            sh[:, 1 + k, channel] = _SH_OF_BYTE[rows[f"f_rest_{channel * rest + k}"].astype(np.uint8)]
+            sh[:, 1 + k, channel] = _SH_OF_BYTE[_unsigned(path, rows, f"f_rest_{channel * rest + k}", "uint8")]
     return sh
 
 
@@ -120,7 +128,7 @@ def _sh_of_byte() -> Float32[np.ndarray, "256"]:
 _SH_OF_BYTE = _sh_of_byte()
 
 
-def _fractions(words: UInt32[np.ndarray, " n"], bits: tuple[int, ...]) -> Float32[np.ndarray, "n f"]:
+def _fractions(words: UInt[np.ndarray, " n"], bits: tuple[int, ...]) -> Float32[np.ndarray, "n f"]:
     """Cut words into fields from the top bit down, each as a fraction 0 .. 1 of its largest value."""
     fields = np.empty((len(words), len(bits)), np.float32)
     shift = sum(bits)
@@ -130,7 +138,7 @@ def _fractions(words: UInt32[np.ndarray, " n"], bits: tuple[int, ...]) -> Float3
     return fields
 
 
-def _quaternions(words: UInt32[np.ndarray, " n"]) -> Float32[np.ndarray, "n 4"]:
+def _quaternions(words: UInt[np.ndarray, " n"]) -> Float32[np.ndarray, "n 4"]:
     """Which of w, x, y, z is the largest stands in the upper two bits, then the three others within +-1/sqrt(2)."""
     others = (_fractions(words, _ROTATION_BITS)[:, 1:] - np.float32(0.5)) * np.float32(np.sqrt(2))
     return with_largest((words >> np.uint32(30)).astype(np.int64), others)

@@ -34,7 +34,8 @@ def test_bits_are_where_they_belong(tmp_path: Path) -> None:
     (tmp_path / "a.compressed.ply").write_bytes(compressed(257, 2, BOUNDS[:6], sh_rows=257))
     gaussians = read_ply(tmp_path / "a.compressed.ply")
     assert len(gaussians) == 257
-    np.testing.assert_allclose(gaussians.means[256], [2 * 1024 / 2047 - 1, 2 * 512 / 1023 - 1, 2 * 1024 / 2047 - 1], atol=1e-6)
+    middle = [2 * 1024 / 2047 - 1, 2 * 512 / 1023 - 1, 2 * 1024 / 2047 - 1]
+    np.testing.assert_allclose(gaussians.means[256], middle, atol=1e-6)
     np.testing.assert_allclose(gaussians.scales[0], np.exp([1, -1, -1]), rtol=1e-6)
     np.testing.assert_allclose(gaussians.quaternions[0], [0.0007, 0.0007, 1, 0.0007], atol=1e-5)
     np.testing.assert_allclose(gaussians.sh[0, 0] * SH_C0 + 0.5, [0.2, 0.4, 1], atol=1e-6)
@@ -71,6 +72,11 @@ WRONG = {
     "chunks": (compressed(257, 1, BOUNDS), "257 Gaussians need 2 chunks, the header lists 1"),
     "bounds": (compressed(1, 1, BOUNDS[:2]), "element 'chunk' of a compressed PLY lacks min_z, max_z, min_scale_x"),
     "words": (compressed(1, 1, BOUNDS).replace(b"packed_scale", b"packed_scald"), "lacks packed_scale"),
+    "word types": (
+        compressed(1, 1, BOUNDS).replace(b"uint packed_scale", b"int packed_scale"),
+        "must be uint32, not int32",
+    ),
+    "sh types": (compressed(9, 1, BOUNDS, 9).replace(b"uchar f_rest_3", b"char f_rest_3"), "must be uint8, not int8"),
     "sh columns": (compressed(9, 1, BOUNDS, sh_rows=9, sh_columns=12), "9 rows of 12 f_rest_*: expected 9 rows"),
     "sh rows": (compressed(9, 1, BOUNDS, sh_rows=8), "8 rows of 9 f_rest_*: expected 9 rows"),
     "cut off": (compressed(9, 1, BOUNDS)[:-1], "cut off or its counts are wrong"),
@@ -97,5 +103,5 @@ def test_bounds_that_are_not_finite_are_refused(bad: float, tmp_path: Path) -> N
         if value == 0 and bad == 3e38:
             assert np.isfinite(read_ply(tmp_path / "a.ply").means).all()
         else:
-            with pytest.raises(SceneFormatError, match="4 of 4 Gaussians have a .* not a finite number"):
+            with pytest.raises(SceneFormatError, match=r"4 of 4 Gaussians have a .* not a finite number"):
                 read_ply(tmp_path / "a.ply")

@@ -125,7 +125,11 @@ def test_any_bytes_of_a_scene_description_changed(folder: Path, data: st.DataObj
     original = path.read_bytes()
     edited = bytearray(original)
     for place, value in data.draw(
-        st.lists(st.tuples(st.integers(0, len(original) - 1), st.sampled_from(b'"[]{}0129-.,:eE \\/x\xff')), min_size=1, max_size=4)
+        st.lists(
+            st.tuples(st.integers(0, len(original) - 1), st.sampled_from(b'"[]{}0129-.,:eE \\/x\xff')),
+            min_size=1,
+            max_size=4,
+        )
     ):
         edited[place] = value
     if data.draw(st.booleans()):

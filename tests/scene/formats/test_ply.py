@@ -84,9 +84,7 @@ def test_normals_may_be_missing_and_extra_properties_are_passed_over(ply: Path, 
     names, values = columns_of(ply)
     kept = [i for i, name in enumerate(names) if name not in ("nx", "ny", "nz")]
     extra = np.full((len(values), 1), np.nan)
-    write_columns(
-        tmp_path / "c.ply", ["confidence", *(names[i] for i in kept)], np.hstack([extra, values[:, kept]])
-    )
+    write_columns(tmp_path / "c.ply", ["confidence", *(names[i] for i in kept)], np.hstack([extra, values[:, kept]]))
     assert_equal(read_ply(tmp_path / "c.ply"), sample_gaussians())
 
 

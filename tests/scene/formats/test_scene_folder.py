@@ -172,7 +172,7 @@ def test_an_empty_folder_is_filled(tmp_path: Path) -> None:
 def test_folders_that_are_no_scenes_are_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "a.jpg").write_bytes(b"precious")
-    with pytest.raises(SceneFormatError, match="it holds files but no scene.json"):
+    with pytest.raises(SceneFormatError, match="it holds files but no scene"):
         write_scene(sample_scene(), tmp_path / "photos")
     (tmp_path / "photos" / "scene.json").write_text('{"objects": []}')
     with pytest.raises(SceneFormatError, match="not the description of a scene"):
@@ -219,7 +219,10 @@ BAD_VALUES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "in a layer": (lambda v: v["layers"][1].update(kind="ocean"), "Invalid enum value 'ocean' - at `$.layers[1].kind`"),
     "in a track": (lambda v: v["actors"][0]["track"]["times"].pop(), "equally long - at `$.actors[0].track`"),
     "falling times": (lambda v: v["ego"].update(times=[2, 1, 0]), "times must rise - at `$.ego`"),
-    "zero quaternion": (lambda v: v["ego"].update(quaternions_wxyz=[[0, 0, 0, 0]] * 3), "must be above 0 long - at `$.ego`"),
+    "zero quaternion": (
+        lambda v: v["ego"].update(quaternions_wxyz=[[0, 0, 0, 0]] * 3),
+        "must be above 0 long - at `$.ego`",
+    ),
     "no direction": (lambda v: v.update(up=[0, 0, 0]), "`$.up` must be a direction, not [0.0, 0.0, 0.0]"),
     "camera size": (lambda v: v["rigs"]["waymo"][0].update(width=0), "Expected `int` >= 1 - at `$.rigs[...][0].width`"),
     "camera pose": (
@@ -227,7 +230,10 @@ BAD_VALUES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         "camera_to_ego of camera 'LEFT' must be a rotation",
     ),
     "file missing": (lambda v: v["layers"][0].update(file="layers/none.ply"), "there is no file 'layers/none.ply'"),
-    "file above": (lambda v: v["layers"][0].update(file="../outside.ply"), "'../outside.ply' must lie inside the scene"),
+    "file above": (
+        lambda v: v["layers"][0].update(file="../outside.ply"),
+        "'../outside.ply' must lie inside the scene",
+    ),
     "file deeper above": (lambda v: v["layers"][0].update(file="layers/../../outside.ply"), "must lie inside"),
     "file elsewhere": (lambda v: v["layers"][0].update(file="/etc/passwd"), "'/etc/passwd' must lie inside"),
     "file by link": (lambda v: v["layers"][0].update(file="link.ply"), "'link.ply' must lie inside"),
