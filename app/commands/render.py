@@ -13,6 +13,7 @@ from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.render.backends import Backend, open_renderer
 from gsrain_engine.render.frame_sink import FrameSink, open_sink
+from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.camera import Camera, read_camera
 from gsrain_engine.scene.camera_path import CameraPath
@@ -26,7 +27,11 @@ from .arguments import JsonFile, parse_size, write_numbers
 from .progress import progress_bar
 
 _LONGEST_DEFAULT_S = 10.0
-_UP = {"x": (1, 0, 0), "-x": (-1, 0, 0), "y": (0, 1, 0), "-y": (0, -1, 0), "z": (0, 0, 1), "-z": (0, 0, -1)}
+_UP = {
+    "x": (1.0, 0.0, 0.0), "-x": (-1.0, 0.0, 0.0),
+    "y": (0.0, 1.0, 0.0), "-y": (0.0, -1.0, 0.0),
+    "z": (0.0, 0.0, 1.0), "-z": (0.0, 0.0, -1.0),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +95,7 @@ def render(
     depth: Annotated[bool, Parameter(help="Write depth beside each PNG (16 bit, cm) or NPY (m).")] = False,
     wet: Annotated[bool, Parameter(help="First give the scene a wet look, as the window's preview job does.")] = False,
     up: Annotated[
-        Literal["x", "-x", "y", "-y", "z", "-z"] | None, Parameter(help="Which way is up in the scene's axes.")
+        Literal["x", "-x", "y", "-y", "z", "-z"] | None, Parameter(help="Which way is up in the scene's axes.", allow_leading_hyphen=True)
     ] = None,
     metres_per_unit: Annotated[float | None, Parameter(help="Length of one scene unit in metres.")] = None,
     backend: Annotated[Backend, Parameter(help="auto takes OpenGL on a GPU, else the processor.")] = "auto",
@@ -116,7 +121,9 @@ def render(
     return 0 if report["frames"] == len(numbers) else 130
 
 
-def _render(renderer, sequence: FrameSequence, numbers: list[int], sink: FrameSink, depth: bool) -> dict[str, object]:
+def _render(
+    renderer: Renderer, sequence: FrameSequence, numbers: list[int], sink: FrameSink, depth: bool
+) -> dict[str, object]:
     """Render frames into a sink; Ctrl-C ends it early and leaves what is there."""
     started, done, drawn, haze = time.perf_counter(), 0, 0, 0
     state = sequence.rainfall.state

@@ -3,13 +3,14 @@
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from .frame import Frame
 from .pictures import write_array, write_depth, write_picture
 from .video import SUFFIXES, VideoWriter
 
 
+@runtime_checkable
 class FrameSink(Protocol):
     """Takes frames and knows what it has written."""
 

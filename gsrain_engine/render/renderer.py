@@ -1,7 +1,7 @@
 """What every back end does: draw scene and rain, hand out the picture."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.scene.camera import Camera
@@ -11,6 +11,7 @@ from .frame import Frame
 from .statistics import RenderStatistics
 
 
+@runtime_checkable
 class Renderer(Protocol):
     """Draws one picture at a time. `SplatRenderer` does it with OpenGL, `CpuRenderer` without."""
 

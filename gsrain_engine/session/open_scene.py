@@ -2,6 +2,7 @@
 
 import hashlib
 import logging
+import shutil
 from pathlib import Path
 
 import msgspec
@@ -36,6 +37,7 @@ def cached_street() -> Scene:
             return read_scene(folder)
         except SceneFormatError as error:
             logger.warning("The cached street is damaged and is built again: %s", error)
+            shutil.rmtree(folder, ignore_errors=True)
     scene = build.build_street()
     try:
         write_scene(scene, folder)

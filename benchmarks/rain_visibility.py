@@ -1,0 +1,74 @@
+"""How visible is rain? Shares of changed pixels and optical depths over intensities and seeds, on the built-in street.
+
+Prints JSON. A pixel counts as changed when a channel differs by more than 4/255 from the same still without rain.
+Optical depth is the mean of -ln(1 - alpha) of the haze alone, drawn over nothing.
+"""
+
+import json
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+
+from gsrain_engine.rain.presets import load_preset
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.rainfall import Rainfall
+from gsrain_engine.raster.cpu_renderer import CpuRenderer
+from gsrain_engine.render.scene_view import rain_in
+from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.scene.scene import Scene
+from gsrain_engine.session.home_camera import default_path
+from gsrain_engine.session.open_scene import cached_street
+
+SEEDS, INTENSITIES, SIZE = 5, ("1.2", "8.5", "12.0"), (960, 640)
+STREAKS, HAZE = {"haze": False}, {"streaks": False}
+
+
+def main() -> None:
+    """Measure and print."""
+    street = cached_street()
+    rows = [measure(street, load_preset(name), seed) for name in INTENSITIES for seed in range(SEEDS)]
+    rows.append(measure(street, load_preset("paper"), 0) | {"preset": "paper"})
+    print(json.dumps({"scene": street.name, "size": SIZE, "rows": rows}, indent=1))
+
+
+def measure(street: Scene, rain: Rain, seed: int) -> dict[str, float]:
+    """Figures of one still, 2 s into the default drive."""
+    renderer = CpuRenderer()
+    path = default_path(street, *SIZE)
+
+    def still(scene: Scene, **fields: object) -> np.ndarray:
+        falling = Rainfall.start(msgspec.structs.replace(rain, seed=seed, **fields))
+        sequence = FrameSequence(scene, falling, path, *SIZE, start_s=2.0)
+        shot, sky = sequence.shot(0), sequence.sky(renderer)
+        renderer.draw(scene.parts(2.0) if scene.layers else [], shot.camera, rain_in(street, falling, sky.color, shot))
+        return renderer.read().rgba
+
+    clear, streaked, hazed, both = (
+        still(street, **fields) for fields in ({"intensity_mm_h": 0.0}, STREAKS, HAZE, {})
+    )
+    veil = still(replace(street, layers=(), actors=()), **HAZE)[..., 3].astype(np.float64)
+    return {
+        "intensity_mm_h": rain.intensity_mm_h,
+        "seed": seed,
+        "streaks_changed_share": changed_share(streaked, clear),
+        "streaks_mean_levels": mean_levels(streaked, clear),
+        "streaks_largest_levels": float(np.abs(streaked - clear)[..., :3].max() * 255),
+        "haze_changed_share": changed_share(hazed, clear),
+        "changed_share": changed_share(both, clear),
+        "haze_optical_depth": float(np.mean(-np.log1p(-np.minimum(veil, 1 - 1e-9)))),
+    }
+
+
+def changed_share(rainy: np.ndarray, clear: np.ndarray) -> float:
+    """Share of pixels that differ by more than 4/255 in a channel."""
+    return float(np.mean(np.abs(rainy - clear)[..., :3].max(axis=-1) > 4 / 255))
+
+
+def mean_levels(rainy: np.ndarray, clear: np.ndarray) -> float:
+    """Mean absolute difference in grey levels of 255."""
+    return float(np.abs(rainy - clear)[..., :3].mean() * 255)
+
+
+if __name__ == "__main__":
+    main()

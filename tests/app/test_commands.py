@@ -1,0 +1,198 @@
+"""Each command as a person runs it, on small input."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from app.command_line import BAD_INPUT, run
+from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.formats import read_scene, write_scene
+from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
+from gsrain_engine.scene.scene import Layer, Scene
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    """A file with a coloured wall of 900 Gaussians, 6 m ahead (+z), up is -y."""
+    rng = np.random.default_rng(1)
+    x, y = np.meshgrid(np.linspace(-4, 4, 30), np.linspace(-3, 3, 30))
+    n, f = x.size, np.float32
+    wall = Gaussians(
+        np.stack([x.ravel(), y.ravel(), np.full(n, 6.0)], axis=1).astype(f),
+        np.full((n, 3), 0.2, f),
+        np.tile(np.array([1, 0, 0, 0], f), (n, 1)),
+        np.full(n, 0.95, f),
+        sh_from_color(rng.uniform(0.1, 0.5, (n, 3)).astype(f)),
+    )
+    path = tmp_path_factory.mktemp("room") / "wall.ply"
+    write_scene(Scene("wall", (Layer("wall", wall),), up=(0.0, -1.0, 0.0)), path)
+    return path
+
+
+def render(room, out, *options):
+    return run(["render", str(room), "-o", str(out), "--size", "96x64", "--backend", "cpu", *options])
+
+
+def test_render_writes_a_still_and_its_numbers(room, tmp_path, capsys):
+    out, numbers = tmp_path / "still.png", tmp_path / "still.json"
+    assert render(room, out, "--rain", "8.5", "--json", str(numbers)) == 0
+    assert np.asarray(Image.open(out)).shape == (64, 96, 3)
+    assert np.asarray(Image.open(out)).mean() > 20
+    report = json.loads(numbers.read_text())
+    assert {"frames", "seconds", "splats", "drops", "drops_drawn", "haze_gaussians", "backend", "intensity_mm_h",
+            "implied_mm_h"} <= set(report)  # fmt: skip
+    assert (report["frames"], report["intensity_mm_h"], report["implied_mm_h"]) == (1, 8.5, 8.5)
+    assert report["drops"] == 331_752
+    assert str(out) in capsys.readouterr().out
+
+
+def test_paper_preset_renders_its_drops(room, tmp_path):
+    numbers = tmp_path / "paper.json"
+    assert render(room, tmp_path / "paper.png", "--preset", "paper", "--json", str(numbers)) == 0
+    report = json.loads(numbers.read_text())
+    assert report["drops"] == 257_040
+    assert report["implied_mm_h"] == pytest.approx(6.59, abs=0.005)
+
+
+def test_no_rain_is_byte_identical_to_zero_rain(room, tmp_path):
+    paths = [tmp_path / name for name in ("without.npy", "zero.npy", "some.npy")]
+    for path, options in zip(paths, ([], ["--rain", "0"], ["--rain", "5"]), strict=True):
+        assert render(room, path, *options) == 0
+    without, zero, some = (path.read_bytes() for path in paths)
+    assert without == zero
+    assert some != zero
+
+
+def test_frame_40_alone_is_frame_40_of_the_sequence(room, tmp_path):
+    folder = tmp_path / "frames"
+    assert render(room, folder, "--rain", "8.5", "--fps", "10", "--duration", "4.2") == 0
+    assert len(list(folder.glob("*.png"))) == 42
+    alone = tmp_path / "alone"
+    assert render(room, alone, "--rain", "8.5", "--fps", "10", "--frame", "40") == 0
+    assert (alone / "000040.png").read_bytes() == (folder / "000040.png").read_bytes()
+    assert (folder / "000039.png").read_bytes() != (folder / "000040.png").read_bytes()
+
+
+def test_video_plays_and_is_repeatable(room, tmp_path):
+    paths = [tmp_path / name for name in ("a.mp4", "b.mp4")]
+    for path in paths:
+        assert render(room, path, "--rain", "4", "--duration", "0.5") == 0
+    with av.open(str(paths[0])) as container:
+        assert sum(1 for _ in container.decode(video=0)) == 15
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_camera_and_depth_are_in_the_scene_s_own_axes(room, tmp_path):
+    camera = Camera(96, 64, 80.0, 80.0, 48.0, 32.0, look_at(np.zeros(3), np.array([0, 0, 1.0]), np.array([0, -1.0, 0])))
+    file = tmp_path / "camera.json"
+    file.write_text(json.dumps(camera.to_json()))
+    out = tmp_path / "view.npy"
+    assert run(["render", str(room), "-o", str(out), "--camera", str(file), "--depth", "--backend", "cpu"]) == 0
+    assert np.load(out).shape == (64, 96, 4)
+    assert np.load(tmp_path / "view.depth.npy")[32, 48] == pytest.approx(6.0, abs=0.1)
+    scaled = ["--metres-per-unit", "2", "--up", "-y"]
+    assert run(["render", str(room), "-o", str(out), "--camera", str(file), "--depth", "--backend", "cpu", *scaled]) == 0
+    assert np.load(tmp_path / "view.depth.npy")[32, 48] == pytest.approx(12.0, abs=0.2)
+
+
+def test_wet_look_changes_the_scene(room, tmp_path):
+    dry, wet = tmp_path / "dry.png", tmp_path / "wet.png"
+    assert render(room, dry) == 0
+    assert render(room, wet, "--wet") == 0
+    difference = np.asarray(Image.open(dry)).astype(int) - np.asarray(Image.open(wet))
+    assert np.abs(difference).mean() > 3
+
+
+def test_ctrl_c_leaves_a_playable_video(room, tmp_path):
+    out = tmp_path / "stopped.mp4"
+    command = [sys.executable, "-m", "app", "render", str(room), "-o", str(out), "--size", "96x64", "--backend", "cpu",
+               "--duration", "600"]  # fmt: skip
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "NO_COLOR": "1"}) as process:
+        while process.poll() is None and (not out.exists() or out.stat().st_size < 20_000):
+            pass
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=60)[0]
+    assert process.returncode == 130
+    assert "stopped after" in said
+    with av.open(str(out)) as container:
+        assert sum(1 for _ in container.decode(video=0)) > 10
+
+
+def test_info_reports_what_is_in_a_scene(room, tmp_path, capsys):
+    numbers = tmp_path / "info.json"
+    assert run(["info", str(room), "--json", str(numbers)]) == 0
+    report = json.loads(numbers.read_text())
+    assert report["gaussians"] == 900
+    assert report["members"][0]["minimum"] == [-4, -3, 6]
+    assert "900" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("suffix", [".splat", ".spz", ".ply", ""])
+def test_convert_keeps_the_scene(room, tmp_path, suffix):
+    target = tmp_path / f"wall2{suffix}"
+    assert run(["convert", str(room), str(target)]) == 0
+    converted = read_scene(target)
+    assert converted.gaussian_count == 900
+    assert np.allclose(np.sort(converted.layers[0].gaussians.means[:, 0]), np.sort(read_scene(room).layers[0].gaussians.means[:, 0]), atol=1e-3)
+
+
+def test_street_writes_scene_and_photographs(tmp_path, capsys):
+    assert run(["street", str(tmp_path), "--moments", "1", "--width", "96"]) == 0
+    scene = read_scene(tmp_path / "scene")
+    assert 200_000 <= scene.gaussian_count <= 400_000
+    assert {"waymo_front3", "nuscenes"} == set(scene.rigs)
+    cameras = json.loads((tmp_path / "images" / "cameras.json").read_text())
+    assert len(cameras) == 3
+    depth = np.load(tmp_path / "images" / f"{cameras[0]['name']}.depth.npy")
+    labels = np.asarray(Image.open(tmp_path / "images" / f"{cameras[0]['name']}.labels.png"))
+    assert depth.shape == labels.shape == (64, 96)
+    assert len(np.unique(labels)) >= 4
+
+
+def test_doctor_finds_what_it_needs(tmp_path, capsys):
+    numbers = tmp_path / "doctor.json"
+    assert run(["doctor", "--json", str(numbers)]) == 0
+    assert "libx264" in json.loads(numbers.read_text())["video"]["what"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["render", "nowhere.ply", "-o", "a.png"], "nowhere.ply"),
+        (["render", "{room}", "-o", "a.gif"], "a.gif: an output ends in .png"),
+        (["render", "{room}", "-o", "a.png", "--rain", "101"], "`float` <= 100.0 - at `$.intensity_mm_h`"),
+        (["render", "{room}", "-o", "a.png", "--rain", "-1"], ">= 0.0 - at `$.intensity_mm_h`"),
+        (["render", "{room}", "-o", "a.png", "--size", "960"], "--size 960: expected WIDTHxHEIGHT"),
+        (["render", "{room}", "-o", "a.mp4", "--size", "95x64"], "even width"),
+        (["render", "{room}", "-o", "a.png", "--preset", "drizzle"], "preset 'drizzle'"),
+        (["render", "{room}", "-o", "a.png", "--exposure", "2"], "exposure_s must be within"),
+        (["render", "{room}", "-o", "a.png", "--fps", "0"], "--fps 0: must be within"),
+        (["render", "{room}", "-o", "a.png", "--camera", "nowhere.json"], "nowhere.json"),
+        (["render", "{room}"], "--output"),
+        (["render", "{room}", "-o", "a.png", "--colour", "red"], "--colour"),
+        (["convert", "{room}", "{tmp}/wall.sog"], "wall.sog"),
+        (["info", "{room}", "extra"], "extra"),
+        (["street", "{tmp}", "--rig", "mine"], "--rig mine: the street has"),
+    ],
+)
+def test_bad_input_ends_with_one_line_and_code_2(room, tmp_path, capsys, arguments, words):
+    filled = [argument.format(room=room, tmp=tmp_path) for argument in arguments]
+    assert run(filled) == BAD_INPUT
+    said = capsys.readouterr().err.strip()
+    assert said.startswith("gsrain: ")
+    assert "\n" not in said
+    assert words in said
+
+
+def test_help_lists_every_command(capsys):
+    run(["--help"])
+    said = capsys.readouterr().out
+    for command in ("render", "info", "convert", "street", "doctor"):
+        assert command in said

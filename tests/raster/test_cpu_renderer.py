@@ -1,0 +1,146 @@
+import hashlib
+
+import numba
+import numpy as np
+import pytest
+
+from gsrain_engine.rain.rain_gaussians import RainGaussians
+from gsrain_engine.raster.compositing import SceneInRain
+from gsrain_engine.raster.cpu_renderer import CpuRenderer
+from gsrain_engine.raster.rain_light import add_rain_light
+from gsrain_engine.raster.reference import rasterize_in_linear_light_slowly, rasterize_slowly
+from gsrain_engine.render.frame import Frame
+from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
+from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
+
+from .raster_scenes import random_gaussians, small_camera
+
+LIGHT = np.array([0.6, 0.5, 0.4], np.float32)
+
+
+def scene(count: int = 120, seed: int = 0, opacity: float | None = None) -> list[Part]:
+    g = random_gaussians(count, seed, 1)
+    opacities = g.opacities if opacity is None else np.full(count, opacity, np.float32)
+    return [Part(Gaussians(g.means, g.scales, g.quaternions, opacities, g.sh), np.eye(4))]
+
+
+def drops(mixing: str = "linear", opacity: float = 0.3, seed: int = 9, count: int = 80) -> RainGaussians:
+    g = random_gaussians(count, seed)
+    scales = (g.scales * np.array([0.1, 0.1, 1])).astype(np.float32)
+    color = np.tile(linear_to_srgb(LIGHT).astype(np.float32), (count, 1))
+    gaussians = Gaussians(g.means, scales, g.quaternions, g.opacities * np.float32(opacity), sh_from_color(color))
+    return RainGaussians(gaussians, LIGHT, mixing, count, 0)
+
+
+def drawn(parts, rain=None, camera=None, with_depth=True) -> Frame:
+    renderer = CpuRenderer()
+    renderer.draw(parts, camera or small_camera(), rain, with_depth=with_depth)
+    return renderer.read()
+
+
+def slowly(parts, rain: RainGaussians) -> np.ndarray:
+    everything = [*parts, Part(rain.gaussians, np.eye(4))]
+    flags = [None] * len(parts) + [np.ones(len(rain.gaussians), bool)]
+    if rain.mixing == "linear":
+        return rasterize_in_linear_light_slowly(everything, small_camera(), flags, LIGHT)
+    return rasterize_slowly(everything, small_camera(), flags)
+
+
+@pytest.mark.parametrize("mixing", ["linear", "display"])
+@pytest.mark.parametrize(
+    ("opacity", "of_drops"), [(None, 0.3), (0.97, 0.3), (0.05, 0.3), (None, 0.01), (None, 1.0)],
+    ids=["mixed", "opaque scene", "faint scene", "faint drops", "dense drops"],
+)  # fmt: skip
+def test_agrees_with_the_reference(mixing, opacity, of_drops):
+    parts, rain = scene(opacity=opacity), drops(mixing, of_drops)
+    difference = np.abs(drawn(parts, rain).rgba - slowly(parts, rain)[..., :4]).max(axis=-1)
+    # A fragment at a cut may fall on either side of it in float32: rarely, and by little.
+    assert np.median(difference) < 2e-5
+    assert (difference > 3e-4).mean() < 0.01
+    assert difference.max() < 2e-2
+
+
+@pytest.mark.parametrize("mixing", ["linear", "display"])
+def test_rain_alone_agrees_with_the_reference(mixing):
+    rain = drops(mixing, 0.02)
+    frame = drawn([], rain)
+    np.testing.assert_allclose(frame.rgba, slowly([], rain)[..., :4], atol=2e-4)
+    assert frame.rgba[..., 3].max() > 0
+    assert (frame.depth == 0).all()
+
+
+@pytest.mark.parametrize("rain", [drops(opacity=0), drops(count=0)], ids=["invisible", "none"])
+def test_rain_that_is_not_seen_changes_no_bit(rain):
+    clear, same = drawn(scene()), drawn(scene(), rain)
+    assert clear.rgba.tobytes() == same.rgba.tobytes()
+    assert clear.depth.tobytes() == same.depth.tobytes()
+
+
+def test_pixels_without_rain_keep_every_bit():
+    one = drops(opacity=1).gaussians.take(np.arange(3))
+    clear, rainy = drawn(scene(500)), drawn(scene(500), RainGaussians(one, LIGHT, "linear", 3, 0))
+    alone = drawn([], RainGaussians(one, LIGHT, "linear", 3, 0)).rgba[..., 3] > 0
+    assert 0.01 < alone.mean() < 0.9
+    np.testing.assert_array_equal(rainy.rgba[~alone], clear.rgba[~alone])
+    assert (rainy.rgba[alone] != clear.rgba[alone]).any()
+
+
+@pytest.mark.parametrize("mixing", ["linear", "display"])
+def test_depth_is_the_clear_scenes_own(mixing):
+    clear, rainy = drawn(scene()), drawn(scene(), drops(mixing, 1.0))
+    assert (clear.depth > 0).any()
+    np.testing.assert_array_equal(rainy.depth, clear.depth)
+    assert drawn(scene(), drops(mixing), with_depth=False).depth is None
+
+
+def test_rain_behind_a_wall_is_not_seen():
+    wall = Gaussians(
+        np.array([[0, 0, 0.5]] * 4, np.float32), np.full((4, 3), 5, np.float32), np.array([[1, 0, 0, 0]] * 4, np.float32),
+        np.ones(4, np.float32), np.zeros((4, 1, 3), np.float32),
+    )  # fmt: skip
+    parts = [Part(wall, np.eye(4))]
+    np.testing.assert_array_equal(drawn(parts, drops(opacity=1)).rgba, drawn(parts).rgba)
+
+
+@pytest.mark.parametrize("mixing", ["linear", "display"])
+def test_the_same_bytes_again_and_at_any_thread_count(mixing):
+    camera, digests, before = small_camera(300, 200), set(), numba.get_num_threads()
+    try:
+        for threads in (*range(1, numba.config.NUMBA_NUM_THREADS + 1), before):
+            numba.set_num_threads(threads)
+            frame = drawn(scene(2000), drops(mixing), camera)
+            digests.add(hashlib.sha256(frame.rgba.tobytes() + frame.depth.tobytes()).hexdigest())
+    finally:
+        numba.set_num_threads(before)
+    assert len(digests) == 1
+
+
+def test_counts_and_times_what_it_drew():
+    renderer = CpuRenderer()
+    renderer.draw(scene(), small_camera(), drops())
+    assert renderer.statistics.gaussians == 200
+    assert 0 < renderer.statistics.splats_drawn <= 200
+    assert list(renderer.statistics.stages_ms) == ["project", "sort", "draw"]
+    assert all(value > 0 for value in renderer.statistics.stages_ms.values())
+
+
+def test_nothing_at_all_is_an_empty_picture():
+    frame = drawn([], None)
+    assert not frame.rgba.any()
+    assert not frame.depth.any()
+
+
+def test_the_curve_of_light_is_the_standards():
+    # From darkness through both branches' joints to far brighter than white.
+    values = np.concatenate([np.linspace(0, 0.1, 2000), np.geomspace(0.1, 1e6, 2000)]).astype(np.float32)
+    rgba = np.repeat(values, 4).reshape(1, -1, 4)
+    rgba[..., 3] = 1
+    r = np.random.default_rng(0)
+    shares = np.stack([r.uniform(1e-6, 0.5, rgba.shape[:2]), r.uniform(0.1, 1.2, rgba.shape[:2])], axis=-1)
+    shares = shares.astype(np.float32)
+    got = add_rain_light(SceneInRain(rgba, rgba[..., 0].copy(), shares), LIGHT)
+    wide = shares.astype(np.float64)
+    light = np.minimum(wide[..., 1:], 1) * srgb_to_linear(rgba[..., :3].astype(np.float64)) + wide[..., :1] * LIGHT
+    np.testing.assert_allclose(got[..., :3], linear_to_srgb(light), rtol=3e-6)
+    np.testing.assert_allclose(got[..., 3], wide.sum(axis=-1), rtol=1e-6)

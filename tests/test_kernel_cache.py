@@ -1,0 +1,113 @@
+import multiprocessing
+import os
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from gsrain_engine.kernel_cache import kernel_cache
+
+
+@pytest.fixture
+def sources(tmp_path: Path) -> Path:
+    folder = tmp_path / "raster"
+    folder.mkdir()
+    (folder / "a.py").write_text("x = 1\n")
+    return folder
+
+
+def test_a_change_of_any_source_leads_to_another_folder(tmp_path, sources):
+    root, held = tmp_path / "cache", set()
+    held.add(kernel_cache(root, "1", [sources]))
+    held.add(kernel_cache(root, "1", [sources]))
+    assert len(held) == 1
+    (sources / "a.py").write_text("x = 10\n")
+    held.add(kernel_cache(root, "1", [sources]))
+    os.utime(sources / "a.py", ns=(5, 5))
+    held.add(kernel_cache(root, "1", [sources]))
+    (sources / "b.py").write_text("")
+    held.add(kernel_cache(root, "1", [sources]))
+    held.add(kernel_cache(root, "2", [sources]))
+    assert len(held) == 5
+    (sources / "notes.txt").write_text("")
+    (sources / ".#a.py").symlink_to("nowhere")  # an editor's lock
+    assert kernel_cache(root, "2", [sources]) in held
+    assert all(folder.parent == root and folder.is_dir() for folder in held)
+
+
+def test_the_two_used_last_stay_and_old_ones_go(tmp_path, sources):
+    root, hours_ago = tmp_path / "cache", time.time() - 7200
+    folders = [kernel_cache(root, str(version), [sources]) for version in range(4)]
+    for age, folder in enumerate(folders):
+        (folder / "kernel.nbc").write_bytes(b"code")
+        os.utime(folder, (hours_ago - age, hours_ago - age))
+    assert kernel_cache(root, "3", [sources]) == folders[3]  # now the newest
+    assert [folder.is_dir() for folder in folders] == [True, False, False, True]
+    assert (folders[3] / "kernel.nbc").is_file()
+
+
+def test_folders_used_lately_stay(tmp_path, sources):
+    folders = [kernel_cache(tmp_path / "cache", str(version), [sources]) for version in range(5)]
+    assert all(folder.is_dir() for folder in folders)
+
+
+def test_a_place_that_cannot_be_written_is_no_error(tmp_path, sources):
+    (tmp_path / "file").write_text("")
+    assert kernel_cache(tmp_path / "file" / "cache", "1", [sources]).parent == tmp_path / "file" / "cache"
+
+
+def _start_again_and_again(root: Path, sources: Path, first: int) -> None:
+    for version in range(first, first + 200):
+        kernel_cache(root, str(version % 7), [sources])
+        for folder in root.iterdir():
+            with suppress(OSError):
+                os.utime(folder, (1, 1))  # old at once: the other processes are about to remove it
+
+
+def test_processes_may_make_and_remove_folders_at_once(tmp_path, sources):
+    spawn = multiprocessing.get_context("spawn")
+    arguments = [(tmp_path / "cache", sources, first) for first in range(3)]
+    running = [spawn.Process(target=_start_again_and_again, args=each) for each in arguments]
+    for process in running:
+        process.start()
+    for process in running:
+        process.join(60)
+    assert [process.exitcode for process in running] == [0, 0, 0]
+
+
+def test_processes_may_compile_into_the_same_folder_at_once(tmp_path):
+    code = (
+        "import numpy as np\n"
+        "from gsrain_engine.raster.spherical_harmonics import harmonics\n"
+        "print(harmonics(np.eye(3, dtype=np.float32), 4).tobytes().hex())\n"
+    )
+    kept = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", code], env=kept | {"XDG_CACHE_HOME": str(tmp_path)}, text=True, stdout=subprocess.PIPE
+        )
+        for _ in range(2)
+    ]
+    answers = [process.communicate(timeout=120)[0] for process in running]
+    assert [process.returncode for process in running] == [0, 0]
+    assert answers[0] == answers[1] != ""
+
+
+def cache_folder(**environment: str) -> str:
+    code = "import os, gsrain_engine; print(os.environ['NUMBA_CACHE_DIR'])"
+    kept = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=kept | environment, capture_output=True, text=True, check=True, timeout=60
+    )
+    return done.stdout.strip()
+
+
+def test_a_users_own_folder_stays_and_a_parents_is_looked_up_again(tmp_path):
+    cache = str(tmp_path / "home")
+    own = cache_folder(XDG_CACHE_HOME=cache)
+    assert cache_folder(XDG_CACHE_HOME=cache, NUMBA_CACHE_DIR=str(tmp_path / "mine")) == str(tmp_path / "mine")
+    stale = str(Path(own).parent / "0123456789abcdef")
+    assert cache_folder(XDG_CACHE_HOME=cache, NUMBA_CACHE_DIR=stale) == own

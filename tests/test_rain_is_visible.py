@@ -1,0 +1,70 @@
+"""The rain of the built-in street, as a person sees it: against its own still without rain, over seeds."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from gsrain_engine.rain.presets import load_preset
+from gsrain_engine.rain.rainfall import Rainfall
+from gsrain_engine.raster.cpu_renderer import CpuRenderer
+from gsrain_engine.render.scene_view import rain_in
+from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.session.home_camera import default_path
+from gsrain_engine.session.open_scene import cached_street
+
+SEEDS, INTENSITIES = range(5), ("1.2", "8.5", "12.0")
+STREAKS, HAZE = {"haze": False}, {"streaks": False}
+
+
+class Stills:
+    """Stills of the street 2 s into the default drive, with the sky looked at once."""
+
+    def __init__(self):
+        self.renderer, self.street = CpuRenderer(), cached_street()
+        path = default_path(self.street, 960, 640)
+        self.sequence = FrameSequence(self.street, Rainfall.start(load_preset("clear")), path, 960, 640, start_s=2.0)
+        self.sky = self.sequence.sky(self.renderer).color
+        self.shot = self.sequence.shot(0)
+        self.clear = self.picture("clear")
+
+    def falling(self, preset, **fields):
+        rain = Rainfall.start(msgspec.structs.replace(load_preset(preset), **fields))
+        return rain_in(self.street, rain, self.sky, self.shot)
+
+    def picture(self, preset, **fields):
+        self.renderer.draw(self.street.parts(2.0), self.shot.camera, self.falling(preset, **fields))
+        return self.renderer.read()
+
+    def changed_share(self, preset, **fields):
+        rainy = self.picture(preset, **fields)
+        levels = np.abs(rainy.to_uint8().astype(int) - self.clear.to_uint8()).max(axis=-1)
+        return np.mean(levels > 4)
+
+    def optical_depth(self, preset, **fields):
+        self.renderer.draw([], self.shot.camera, self.falling(preset, **fields))
+        return np.mean(-np.log1p(-self.renderer.read().rgba[..., 3].astype(float)))
+
+
+@pytest.fixture(scope="module")
+def stills():
+    return Stills()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_streaks_change_more_pixels_and_haze_takes_more_light_as_it_rains_harder(stills, seed):
+    shares = [stills.changed_share(preset, seed=seed, **STREAKS) for preset in INTENSITIES]
+    depths = [stills.optical_depth(preset, seed=seed, **HAZE) for preset in INTENSITIES]
+    assert shares[0] < shares[1] < shares[2]
+    assert depths[0] < depths[1] < depths[2]
+    assert shares[1] >= 0.01
+
+
+def test_the_paper_s_streaks_are_far_fainter(stills):
+    difference = np.abs(stills.picture("paper", **STREAKS).rgba - stills.clear.rgba)[..., :3] * 255
+    physical = np.abs(stills.picture("8.5", **STREAKS).rgba - stills.clear.rgba)[..., :3] * 255
+    assert 0 < difference.max() < 4 < physical.max()
+
+
+def test_the_sky_tints_the_drops(stills):
+    red, green, blue = stills.sky
+    assert red < green < blue
