@@ -44,9 +44,7 @@ def measure(street: Scene, rain: Rain, seed: int) -> dict[str, float]:
         renderer.draw(scene.parts(2.0) if scene.layers else [], shot.camera, rain_in(street, falling, sky.color, shot))
         return renderer.read().rgba
 
-    clear, streaked, hazed, both = (
-        still(street, **fields) for fields in ({"intensity_mm_h": 0.0}, STREAKS, HAZE, {})
-    )
+    clear, streaked, hazed, both = (still(street, **fields) for fields in ({"intensity_mm_h": 0.0}, STREAKS, HAZE, {}))
     veil = still(replace(street, layers=(), actors=()), **HAZE)[..., 3].astype(np.float64)
     return {
         "intensity_mm_h": rain.intensity_mm_h,

@@ -87,7 +87,10 @@ def test_processes_may_compile_into_the_same_folder_at_once(tmp_path):
     kept = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     running = [
         subprocess.Popen(
-            [sys.executable, "-c", code], env=kept | {"XDG_CACHE_HOME": str(tmp_path)}, text=True, stdout=subprocess.PIPE
+            [sys.executable, "-c", code],
+            env=kept | {"XDG_CACHE_HOME": str(tmp_path)},
+            text=True,
+            stdout=subprocess.PIPE,
         )
         for _ in range(2)
     ]

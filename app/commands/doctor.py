@@ -96,7 +96,8 @@ def _display() -> Finding:
 
 def _module(name: str, purpose: str, extra: str) -> Finding:
     found = importlib.util.find_spec(name) is not None
-    return Finding(name, found, f"for {purpose}" if found else f"not installed; {purpose} need it: pip install gsrain[{extra}]")
+    missing = f"not installed; {purpose} need it: pip install gsrain[{extra}]"
+    return Finding(name, found, f"for {purpose}" if found else missing)
 
 
 def _cuda() -> Finding:

@@ -87,15 +87,20 @@ def render(
     camera_path: Annotated[
         Path | None, Parameter(help="Camera path: ours, nerfstudio's camera_path.json or 3DGS's cameras.json.")
     ] = None,
-    size: Annotated[str | None, Parameter(help="WIDTHxHEIGHT in pixels; default 960x640, or the camera file's.")] = None,
+    size: Annotated[
+        str | None, Parameter(help="WIDTHxHEIGHT in pixels; default 960x640, or the camera file's.")
+    ] = None,
     fps: Annotated[float, Parameter(help="Frames a second.")] = 30.0,
-    duration: Annotated[float | None, Parameter(help="Seconds of video; default: the path's length, at most 10.")] = None,
+    duration: Annotated[
+        float | None, Parameter(help="Seconds of video; default: the path's length, at most 10.")
+    ] = None,
     time: Annotated[float, Parameter(help="Moment of the first frame in seconds.")] = 0.0,
     frame: Annotated[int | None, Parameter(help="Render only this frame of the sequence, counted from 0.")] = None,
     depth: Annotated[bool, Parameter(help="Write depth beside each PNG (16 bit, cm) or NPY (m).")] = False,
     wet: Annotated[bool, Parameter(help="First give the scene a wet look, as the window's preview job does.")] = False,
     up: Annotated[
-        Literal["x", "-x", "y", "-y", "z", "-z"] | None, Parameter(help="Which way is up in the scene's axes.", allow_leading_hyphen=True)
+        Literal["x", "-x", "y", "-y", "z", "-z"] | None,
+        Parameter(help="Which way is up in the scene's axes.", allow_leading_hyphen=True),
     ] = None,
     metres_per_unit: Annotated[float | None, Parameter(help="Length of one scene unit in metres.")] = None,
     backend: Annotated[Backend, Parameter(help="auto takes OpenGL on a GPU, else the processor.")] = "auto",
@@ -161,9 +166,7 @@ def _describe(rainfall: Rainfall) -> str:
     return ", ".join([*words, *filter(None, [rain.exaggeration])])
 
 
-def _check(
-    *, fps: float, duration: float | None, frame: int | None, metres_per_unit: float | None
-) -> None:
+def _check(*, fps: float, duration: float | None, frame: int | None, metres_per_unit: float | None) -> None:
     if not 0.1 <= fps <= 1000:
         raise ValueError(f"--fps {fps:g}: must be within 0.1..1000")
     if duration is not None and not 0 < duration <= 36000:
@@ -183,11 +186,10 @@ def _oriented(scene: Scene, up: str | None, metres_per_unit: float | None) -> Sc
 def _made_rainy(scene: Scene) -> Scene:
     with progress_bar("Wet look", 1) as advance:
         last = 0.0
-        result = scene
-        for progress, result in rainy_scene(scene):
+        for progress, changed in rainy_scene(scene):
             advance(progress.fraction - last)
-            last = progress.fraction
-    return result
+            last, scene = progress.fraction, changed
+    return scene
 
 
 def _is_moving(output: Path) -> bool:

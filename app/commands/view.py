@@ -12,7 +12,9 @@ def view(
     scene: Annotated[str | None, Parameter(help="Scene file or folder; without one, the built-in street.")] = None,
     /,
     *,
-    preset: Annotated[str | None, Parameter(help="Rain preset (clear, 1.2, 8.5, 12.0, paper) or a preset file.")] = None,
+    preset: Annotated[
+        str | None, Parameter(help="Rain preset (clear, 1.2, 8.5, 12.0, paper) or a preset file.")
+    ] = None,
 ) -> None:
     """Open a scene in the window."""
     from app.window import run_window  # the GUI libraries load only for the window

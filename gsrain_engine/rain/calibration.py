@@ -1,6 +1,7 @@
 """A rain calibration: drop number and size over the rainfall intensity, and fall speed over the diameter."""
 
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
@@ -44,7 +45,7 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     def __post_init__(self) -> None:
         intensities = [row.intensity_mm_h for row in self.rows]
-        if any(later <= earlier for earlier, later in zip(intensities, intensities[1:], strict=False)):
+        if any(later <= earlier for earlier, later in pairwise(intensities)):
             raise ValueError(f"rows must have rising intensity_mm_h, got {intensities}")
 
 

@@ -7,7 +7,7 @@ it; what moves the cell and what moves the drop enter as one offset a class and 
 only at a face of the cell.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
@@ -32,7 +32,8 @@ class Offsets(NamedTuple):
 class Drops(NamedTuple):
     """Some drops of the field."""
 
-    index: Int64[np.ndarray, " m"]
+    numbers: Int64[np.ndarray, " m"]
+    """Rising; a drop exists when its number is below the cell's count."""
     class_index: Int64[np.ndarray, " m"]
     fractions: UInt32[np.ndarray, "m 3"]
     """Position in the cell: 0 is the lower face, 2^32 the upper one."""
@@ -58,7 +59,7 @@ class Culling(NamedTuple):
     """How far a streak reaches beyond its drop."""
     reach: float
     """Longest distance that something in view can have for each metre of view depth."""
-    class_far_m: Float64[np.ndarray, "classes"]
+    class_far_m: Float64[np.ndarray, " classes"]
     """View depth beyond which drops of a class are left to the haze."""
 
 
@@ -73,16 +74,16 @@ def offsets(
     return Offsets(wraps.astype(np.int32), ((periods - wraps) * 2.0**32).astype(np.uint64).astype(np.uint32))
 
 
-def drops_at(index: Int64[np.ndarray, " m"], seed: int, where: Offsets) -> Drops:
-    """Place drops by their index: the readable reference of the compiled search below."""
-    classes = (index * CLASS_STRIDE) % CLASSES
-    i, s = index.astype(np.uint32), np.full(len(index), seed, np.uint32)
+def drops_at(numbers: Int64[np.ndarray, " m"], seed: int, where: Offsets) -> Drops:
+    """Place drops by their numbers: the readable reference of the compiled search below."""
+    classes = (numbers * CLASS_STRIDE) % CLASSES
+    i, s = numbers.astype(np.uint32), np.full(len(numbers), seed, np.uint32)
     zero = np.zeros_like(i)
-    fractions = np.empty((len(index), 3), np.uint32)
+    fractions = np.empty((len(numbers), 3), np.uint32)
     wrap_z = _place(pcg4d(i, zero, zero, s)[2], where, classes, 2, fractions)
     wrap_x = _place(pcg4d(i, wrap_z, zero + 1, s)[0], where, classes, 0, fractions)
     _place(pcg4d(i, wrap_z, wrap_x * 2 + 2, s)[1], where, classes, 1, fractions)
-    return Drops(index, classes, fractions)
+    return Drops(numbers, classes, fractions)
 
 
 def _place(
@@ -99,7 +100,7 @@ def _place(
 
 
 def find_drops(count: int, seed: int, where: Offsets, period_m: Float64[np.ndarray, "3"], culling: Culling) -> Drops:
-    """Find the drops below an index that the camera may see, in rising order of the index."""
+    """Find the drops below a number that the camera may see, in rising order."""
     seen = np.zeros(count, np.bool_)
     _mark_seen(np.uint32(seed), where.wraps, where.fractions, period_m, *culling, seen)
     return drops_at(np.flatnonzero(seen), seed, where)
@@ -116,6 +117,7 @@ def count_in_region(count: int, seed: int, where: Offsets, period_m: Float64[np.
 
 
 @numba.njit(parallel=True, cache=True)
+@no_type_check
 def _mark_seen(
     seed, wraps, fractions, period, region_rotation, region_half, camera, rotation, slopes, margin, reach, far, seen
 ):  # fmt: skip

@@ -43,7 +43,7 @@ class DropMotion:
     """
 
     wind: Wind
-    fall_speed_m_s: Float64[np.ndarray, "classes"]
+    fall_speed_m_s: Float64[np.ndarray, " classes"]
     """Downward speed of each class."""
     since_s: float = 0.0
     reached_m: Float64[np.ndarray, "classes 3"] | None = None
@@ -63,7 +63,7 @@ class DropMotion:
         velocity[:, 2] = -self.fall_speed_m_s
         return velocity
 
-    def changed(self, time_s: float, wind: Wind, fall_speed_m_s: Float64[np.ndarray, "classes"]) -> "DropMotion":
+    def changed(self, time_s: float, wind: Wind, fall_speed_m_s: Float64[np.ndarray, " classes"]) -> "DropMotion":
         """Go on from where every class is at a time with another wind and other speeds."""
         return replace(
             self, wind=wind, fall_speed_m_s=fall_speed_m_s, since_s=time_s, reached_m=self.displacement(time_s)

@@ -13,7 +13,7 @@ LARGEST_MM = 8.0
 """Drops below are drizzle mist, drops above break up; the law is cut there and normalized again."""
 
 CLASSES = 16384
-"""Diameter classes of a drop field: class c is the quantile (c + 1/2) / CLASSES, so a drop keeps its class as R moves."""
+"""Diameter classes of a drop field: class c is the quantile (c + 1/2) / CLASSES. A drop keeps its class as R moves."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class DropSizes:
         return np.clip(diameter, SMALLEST_MM, LARGEST_MM)
 
     @cached_property
-    def class_diameters_mm(self) -> Float64[np.ndarray, "classes"]:
+    def class_diameters_mm(self) -> Float64[np.ndarray, " classes"]:
         """Diameter of each class in mm, rising."""
         return self.quantile((np.arange(CLASSES) + 0.5) / CLASSES)
 

@@ -47,7 +47,7 @@ def make_haze(
 def _fading(
     rain: Rain, count: int, time_s: float, anchor_to_world: Float64[np.ndarray, "4 4"]
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
-    """World-fixed Gaussians on a lattice around the region: each lives its life at one place, then is born elsewhere."""
+    """World-fixed Gaussians on a lattice around the region: each lives at one place, then is born elsewhere."""
     size = np.array(rain.haze_region.size_m) + 6 * rain.haze_sigma_m  # 3 sigma beyond each face
     horizontal = np.hypot(size[0], size[1])  # covers the region at any yaw
     period = np.array([horizontal, horizontal, size[2]])

@@ -28,7 +28,8 @@ def load_preset(name: str) -> Rain:
     else:
         path = Path(name)
         if not path.is_file():
-            raise ValueError(f"preset {name!r}: no such file, and none of the shipped ones ({', '.join(preset_names())})")
+            known = ", ".join(preset_names())
+            raise ValueError(f"preset {name!r}: no such file, and none of the shipped ones ({known})")
         data, where = path.read_bytes(), str(path)
     try:
         return msgspec.yaml.decode(data, type=Rain)

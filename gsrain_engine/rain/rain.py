@@ -49,12 +49,22 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Everything that rain depends on. The defaults are physical; docs/physics.md gives the reason for each."""
 
     intensity_mm_h: Annotated[
-        float, Meta(ge=0, le=100, title="Intensity", description="Rainfall intensity R. Calibrated up to 13 mm/h.",
-                    extra={"unit": "mm/h"})
+        float,
+        Meta(
+            ge=0,
+            le=100,
+            title="Intensity",
+            description="Rainfall intensity R. Calibrated up to 13 mm/h.",
+            extra={"unit": "mm/h"},
+        ),
     ] = 0.0
     exposure_s: Annotated[
-        float | None, Meta(title="Exposure", description="Shutter time T; none takes the camera's own (4 ms by day).",
-                           extra={"unit": "s", "ge": 1e-5, "le": 1.0})
+        float | None,
+        Meta(
+            title="Exposure",
+            description="Shutter time T; none takes the camera's own (4 ms by day).",
+            extra={"unit": "s", "ge": 1e-5, "le": 1.0},
+        ),
     ] = None
     seed: Annotated[int, Meta(ge=0, le=2**32 - 1, title="Seed", description="Same seed and time, same drops.")] = 0
 
@@ -66,12 +76,16 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     haze_region: Annotated[Box, Meta(title="Haze region", description="Where drops are haze Gaussians.")] = HAZE_REGION
 
     wind_m_s: Annotated[
-        tuple[float, float], Meta(title="Wind", description="Horizontal wind along world x and y.",
-                                  extra={"unit": "m/s", "ge": -40.0, "le": 40.0})
+        tuple[float, float],
+        Meta(
+            title="Wind",
+            description="Horizontal wind along world x and y.",
+            extra={"unit": "m/s", "ge": -40.0, "le": 40.0},
+        ),
     ] = (0.0, 0.0)
     gust_m_s: Annotated[
-        float, Meta(ge=0, le=20, title="Gusts", description="Amplitude of the wind's slow variation.",
-                    extra={"unit": "m/s"})
+        float,
+        Meta(ge=0, le=20, title="Gusts", description="Amplitude of the wind's slow variation.", extra={"unit": "m/s"}),
     ] = 0.0
 
     calibration: Annotated[
@@ -82,7 +96,8 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         Meta(title="Closure", description="density: as many drops as the intensity needs. published: the table as is."),
     ] = "density"
     velocity: Annotated[
-        Literal["calibration", "atlas"], Meta(title="Fall speed", description="V(D): the calibration's fit, or Atlas 1973.")
+        Literal["calibration", "atlas"],
+        Meta(title="Fall speed", description="V(D): the calibration's fit, or Atlas 1973."),
     ] = "calibration"
 
     streak_frame: Annotated[
@@ -99,10 +114,11 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     ] = "haze"
     streak_reset: Annotated[
         Literal["lattice", "paper"],
-        Meta(title="Streak reset", description="lattice: uniform density always. paper: drops re-enter at the top only."),
+        Meta(title="Streak reset", description="lattice: uniform density. paper: drops re-enter at the top only."),
     ] = "lattice"
     haze_reset: Annotated[
-        Literal["fade", "paper"], Meta(title="Haze reset", description="fade: come and go slowly. paper: jump each frame.")
+        Literal["fade", "paper"],
+        Meta(title="Haze reset", description="fade: come and go slowly. paper: jump each frame."),
     ] = "fade"
 
     critical_haze_coefficient: Annotated[
@@ -115,12 +131,22 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         float, Meta(ge=0.001, le=0.5, title="Haze opacity", description="alpha_m: largest alpha of a haze Gaussian.")
     ] = 0.05
     haze_sigma_m: Annotated[
-        float, Meta(ge=0.05, le=5, title="Haze size", description="s_h: standard deviation of a haze Gaussian.",
-                    extra={"unit": "m"})
+        float,
+        Meta(
+            ge=0.05,
+            le=5,
+            title="Haze size",
+            description="s_h: standard deviation of a haze Gaussian.",
+            extra={"unit": "m"},
+        ),
     ] = 0.5
     haze_count: Annotated[
-        int | None, Meta(title="Haze Gaussians", description="M: none takes as many as the extinction needs.",
-                         extra={"ge": 0, "le": 200_000})
+        int | None,
+        Meta(
+            title="Haze Gaussians",
+            description="M: none takes as many as the extinction needs.",
+            extra={"ge": 0, "le": 200_000},
+        ),
     ] = None
     haze_gain: Annotated[
         float, Meta(ge=0, le=50, title="Haze gain", description="Multiplies the extinction; 1 is physical.")

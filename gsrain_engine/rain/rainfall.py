@@ -1,7 +1,6 @@
 """Rain that falls: from what a person asks for, a moment and a camera to the Gaussians of that moment."""
 
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -43,11 +42,11 @@ class Rainfall:
     rain: Rain
     calibration: Calibration
     state: RainState
-    diameters_mm: Float64[np.ndarray, "classes"]
+    diameters_mm: Float64[np.ndarray, " classes"]
     motion: DropMotion
 
     @classmethod
-    def start(cls, rain: Rain, calibration: Calibration | None = None) -> Self:
+    def start(cls, rain: Rain, calibration: Calibration | None = None) -> "Rainfall":
         """Begin a rain whose drops are a function of (seed, t) alone."""
         calibration = calibration or load_calibration(rain.calibration)
         state = rain_state(rain, calibration)
@@ -63,13 +62,9 @@ class Rainfall:
         state = rain_state(rain, calibration)
         diameters = state.sizes.class_diameters_mm
         motion = self.motion.changed(time_s, _wind(rain), fall_speed(rain, calibration)(diameters))
-        return replace(
-            self, rain=rain, calibration=calibration, state=state, diameters_mm=diameters, motion=motion
-        )
+        return replace(self, rain=rain, calibration=calibration, state=state, diameters_mm=diameters, motion=motion)
 
-    def at(
-        self, time_s: float, view: View, sky: tuple[float, float, float] = OVERCAST
-    ) -> RainGaussians | None:
+    def at(self, time_s: float, view: View, sky: tuple[float, float, float] = OVERCAST) -> RainGaussians | None:
         """Return the rain of a moment as Gaussians; None at 0 mm/h. `sky` is the display colour of the scene's sky."""
         if self.state.intensity_mm_h == 0:
             return None
@@ -94,9 +89,7 @@ class Rainfall:
         cell = self._cell(time_s, view)
         return count_in_region(cell.count, self.rain.seed, cell.where, cell.period_m, cell.culling)
 
-    def _streaks(
-        self, time_s: float, view: View, color: Float64[np.ndarray, "3"]
-    ) -> tuple[int, Gaussians]:
+    def _streaks(self, time_s: float, view: View, color: Float64[np.ndarray, "3"]) -> tuple[int, Gaussians]:
         cell = self._cell(time_s, view)
         drops = find_drops(cell.count, self.rain.seed, cell.where, cell.period_m, cell.culling)
         streaks = make_streaks(
@@ -109,12 +102,10 @@ class Rainfall:
         gaussians = Gaussians(
             streaks.means, streaks.scales, streaks.quaternions, streaks.opacities, _sh(color, len(streaks.means))
         )
-        return len(drops.index), gaussians
+        return len(drops.numbers), gaussians
 
     def _haze(self, time_s: float, view: View, color: Float64[np.ndarray, "3"]) -> Gaussians:
-        haze = make_haze(
-            self.rain, self.state.haze_gaussians, time_s, view.anchor_to_world, view.camera.position
-        )
+        haze = make_haze(self.rain, self.state.haze_gaussians, time_s, view.anchor_to_world, view.camera.position)
         n = len(haze.means)
         upright = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
         scales = np.full((n, 3), self.rain.haze_sigma_m, np.float32)

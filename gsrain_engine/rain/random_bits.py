@@ -4,6 +4,8 @@ Each number is a pure function of what it belongs to, so any drop at any time ca
 same few lines give the same bits in NumPy, Numba and GLSL.
 """
 
+from typing import no_type_check
+
 import numba
 import numpy as np
 from jaxtyping import UInt32
@@ -30,9 +32,8 @@ def _mix(x: _Bits, y: _Bits, z: _Bits, w: _Bits) -> tuple[_Bits, _Bits, _Bits, _
 
 
 @numba.njit(inline="always")
-def pcg4d_scalar(
-    x: np.uint32, y: np.uint32, z: np.uint32, w: np.uint32
-) -> tuple[np.uint32, np.uint32, np.uint32, np.uint32]:
+@no_type_check
+def pcg4d_scalar(x, y, z, w):
     """Hash four 32-bit numbers to four, inside compiled code."""
     m, c, s = np.uint32(1664525), np.uint32(1013904223), np.uint32(16)
     x = np.uint32(x * m + c)

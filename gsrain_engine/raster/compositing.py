@@ -1,10 +1,10 @@
 """Sorted splats in tiles -> an image, front to back: alpha compositing in SIMD with early termination."""
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 
 from .tiles import TILE, TileLists
 
@@ -32,8 +32,33 @@ def composite(
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth = np.empty((tiles.height, tiles.width), np.float32)
-    _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth)
+    _composite(shapes, channels, None, tiles.starts, tiles.members, tiles.columns, rgba, fourth, None)
     return rgba, fourth
+
+
+class SceneInRain(NamedTuple):
+    """A scene as if it were clear, and how much the eye sees of scene and rain through each other."""
+
+    rgba: Float32[np.ndarray, "h w 4"]
+    fourth: Float32[np.ndarray, "h w"]
+    shares: Float32[np.ndarray, "h w 2"]
+    """Of rain, of scene; their sum is what both together cover."""
+
+
+def composite_in_rain(
+    shapes: Float32[np.ndarray, "m 8"], channels: Float32[np.ndarray, "m 4"], is_rain: Bool[np.ndarray, " m"],
+    tiles: TileLists,
+) -> SceneInRain:  # fmt: skip
+    """Blend the scene's splats as `composite` does without the rain's, and gather both shares in the same walk.
+
+    With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, a share is the sum of
+    alpha_i T_i over its own splats. Both end with the clear scene: behind what is opaque, no rain is seen either.
+    """
+    rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
+    fourth = np.empty((tiles.height, tiles.width), np.float32)
+    shares = np.empty((tiles.height, tiles.width, 2), np.float32)
+    _composite(shapes, channels, is_rain, tiles.starts, tiles.members, tiles.columns, rgba, fourth, shares)
+    return SceneInRain(rgba, fourth, shares)
 
 
 @numba.njit(inline="always")
@@ -58,20 +83,41 @@ def exp_of_negative(x):
     return p * p
 
 
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def alpha_of(power, log_cut):
+    """Alpha of a fragment from its logarithm; 0 below the cut."""
+    alpha = exp_of_negative(power)
+    alpha = alpha if alpha < MAX_ALPHA else MAX_ALPHA
+    return alpha if power >= log_cut else np.float32(0)
+
+
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _composite(shapes, channels, starts, members, columns, rgba, fourth):
+def _composite(shapes, channels, is_rain, starts, members, columns, rgba, fourth, shares):
+    """Compiled twice: without rain, where `is_rain` and `shares` are None, and with it."""
     height, width = fourth.shape
     for tile in numba.prange(len(starts) - 1):
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
-        # One line a row: transmittance (0 once finished), four channels, alpha: 6 * TILE numbers.
-        state = np.zeros((TILE, 6 * TILE), np.float32)
+        u0, v0 = np.float32(x0 + 0.5), np.float32(y0 + 0.5)
+        # One line a row: transmittance (0 once finished), four channels, alpha; in rain also the transmittance of
+        # scene and rain together, the rain's share, the scene's share. TILE numbers each.
+        if is_rain is None:
+            state = np.zeros((TILE, 6 * TILE), np.float32)
+        else:
+            state = np.zeros((TILE, 9 * TILE), np.float32)
+            state[: height - y0, 6 * TILE : 6 * TILE + min(TILE, width - x0)] = 1
         state[: height - y0, : min(TILE, width - x0)] = 1
         for k in range(starts[tile], starts[tile + 1]):
             if (k - starts[tile]) % CHECK_EVERY == 0 and is_finished(state):
                 break
             n = members[k]
-            _blend(shapes[n], channels[n], np.float32(x0 + 0.5), np.float32(y0 + 0.5), state)
+            if is_rain is None:
+                _blend(shapes[n], channels[n], u0, v0, state)
+            elif is_rain[n]:
+                _blend_rain(shapes[n], u0, v0, state)
+            else:
+                _blend_in_rain(shapes[n], channels[n], u0, v0, state)
         for v in range(min(TILE, height - y0)):
             for u in range(min(TILE, width - x0)):
                 rgba[y0 + v, x0 + u, 0] = state[v, TILE + u]
@@ -79,6 +125,9 @@ def _composite(shapes, channels, starts, members, columns, rgba, fourth):
                 rgba[y0 + v, x0 + u, 2] = state[v, 3 * TILE + u]
                 rgba[y0 + v, x0 + u, 3] = state[v, 5 * TILE + u]
                 fourth[y0 + v, x0 + u] = state[v, 4 * TILE + u]
+                if shares is not None:
+                    shares[y0 + v, x0 + u, 0] = state[v, 7 * TILE + u]
+                    shares[y0 + v, x0 + u, 1] = state[v, 8 * TILE + u]
 
 
 @numba.njit(inline="always")
@@ -117,10 +166,7 @@ def _blend(shape, channels, x0, y0, state):
         line = state[v]
         for u in range(TILE):
             dx = start + np.float32(u)
-            power = sharpness * dx * dx + peak
-            alpha = exp_of_negative(power)
-            alpha = alpha if alpha < MAX_ALPHA else MAX_ALPHA
-            alpha = alpha if power >= log_cut else np.float32(0)
+            alpha = alpha_of(sharpness * dx * dx + peak, log_cut)
             before = line[u]
             weight = before * alpha
             after = before - weight
@@ -132,3 +178,53 @@ def _blend(shape, channels, x0, y0, state):
             line[u + 3 * TILE] += weight * third
             line[u + 4 * TILE] += weight * fourth
             line[u + 5 * TILE] += weight
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _blend_in_rain(shape, channels, x0, y0, state):
+    """`_blend` again, with the same bits, and the scene's share under scene and rain together."""
+    first, second, third, fourth = channels[0], channels[1], channels[2], channels[3]
+    x, shear, sharpness, log_cut = shape[0], shape[2], shape[3], shape[6]
+    top, bottom = rows_of(shape, y0)
+    for v in range(top, bottom):
+        dy = np.float32(v) + (y0 - shape[1])
+        peak = shape[5] + shape[4] * dy * dy
+        start = x0 - (x + shear * dy)
+        line = state[v]
+        for u in range(TILE):
+            dx = start + np.float32(u)
+            alpha = alpha_of(sharpness * dx * dx + peak, log_cut)
+            before = line[u]
+            weight = before * alpha
+            after = before - weight
+            is_open = after >= MIN_TRANSMITTANCE
+            line[u] = after if is_open else np.float32(0)
+            weight = weight if is_open else np.float32(0)
+            line[u + TILE] += weight * first
+            line[u + 2 * TILE] += weight * second
+            line[u + 3 * TILE] += weight * third
+            line[u + 4 * TILE] += weight * fourth
+            line[u + 5 * TILE] += weight
+            together = line[u + 6 * TILE]
+            share = together * alpha if is_open else np.float32(0)
+            line[u + 6 * TILE] = together - share if is_open else np.float32(0)
+            line[u + 8 * TILE] += share
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _blend_rain(shape, x0, y0, state):
+    """Let a rain splat take its share; the clear scene does not see it."""
+    x, shear, sharpness, log_cut = shape[0], shape[2], shape[3], shape[6]
+    top, bottom = rows_of(shape, y0)
+    for v in range(top, bottom):
+        dy = np.float32(v) + (y0 - shape[1])
+        peak = shape[5] + shape[4] * dy * dy
+        start = x0 - (x + shear * dy)
+        line = state[v]
+        for u in range(TILE):
+            dx = start + np.float32(u)
+            share = line[u + 6 * TILE] * alpha_of(sharpness * dx * dx + peak, log_cut)
+            line[u + 6 * TILE] -= share
+            line[u + 7 * TILE] += share

@@ -49,10 +49,32 @@ class Splats:
         return len(self.indices)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class UnsortedSplats:
+    """One splat for each Gaussian of all parts, in their order; columns as in `Splats`."""
+
+    depths: Float32[np.ndarray, " n"]
+    """Along the view axis in metres; 0 for what is not drawn, whose other numbers mean nothing."""
+    shapes: Float32[np.ndarray, "n 8"]
+    colors: Float32[np.ndarray, "n 4"]
+
+    def nearest_first(self) -> Splats:
+        """Sort what is drawn by depth."""
+        order = _nearest_first(self.depths)
+        return Splats(*_gathered(self.shapes, self.colors, order), order)
+
+
 def project(
     parts: Sequence[Part], camera: Camera, rain: Sequence[Bool[np.ndarray, " _"] | None] | None = None
 ) -> Splats:
-    """Project Gaussians and sort the visible ones by depth.
+    """Project Gaussians and sort the visible ones by depth; arguments as in `project_unsorted`."""
+    return project_unsorted(parts, camera, rain).nearest_first()
+
+
+def project_unsorted(
+    parts: Sequence[Part], camera: Camera, rain: Sequence[Bool[np.ndarray, " _"] | None] | None = None
+) -> UnsortedSplats:
+    """Project Gaussians.
 
     EWA splatting (Zwicker et al. 2002) as in 3DGS (Kerbl et al. 2023), with gsplat's limits for off-centre cameras.
     What is nearer than `NEAR_M`, outside the image, fainter than its cut or not finite is left out.
@@ -80,8 +102,7 @@ def project(
             depths[first:last], shapes[first:last], colors[first:last],
         )  # fmt: skip
         first = last
-    order = _nearest_first(depths)
-    return Splats(*_gathered(shapes, colors, order), order)
+    return UnsortedSplats(depths, shapes, colors)
 
 
 def eye_in_object(camera: Camera, part: Part) -> Float64[np.ndarray, "3"]:

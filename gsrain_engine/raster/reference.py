@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Float64
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.rotations import matrices_from_quaternions
 from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
 
 NEAR_M, DILATION_PX2, MAX_ALPHA, MIN_TRANSMITTANCE = 0.2, 0.3, 0.999, 1e-4
 SCENE_ALPHA_CUT, RAIN_ALPHA_CUT = 1 / 255, 1 / 65536
@@ -21,12 +22,56 @@ class _Splat(NamedTuple):
     cut: float
     color: Float64[np.ndarray, "3"]
     depth: float
+    is_rain: bool
 
 
 def rasterize_slowly(
     parts: Sequence[Part], camera: Camera, rain: Sequence[Bool[np.ndarray, " _"] | None] | None = None
 ) -> Float64[np.ndarray, "h w 5"]:
     """Render premultiplied colour, alpha and alpha-weighted depth, as 3DGS defines them (Kerbl et al. 2023)."""
+    return _blended(_nearest_first(parts, camera, rain), camera)
+
+
+def rasterize_in_linear_light_slowly(
+    parts: Sequence[Part],
+    camera: Camera,
+    rain: Sequence[Bool[np.ndarray, " _"] | None],
+    light_linear: Float[np.ndarray, "3"],
+) -> Float64[np.ndarray, "h w 5"]:
+    """Render as `rasterize_slowly` does, the rain adding its light in linear space; depth is the scene's own.
+
+    enc(min(W_s / A, 1) dec(B) + W_r S) with B and A the clear scene's colour and alpha, see `shares_slowly`.
+    """
+    splats = _nearest_first(parts, camera, rain)
+    image = _blended([splat for splat in splats if not splat.is_rain], camera)
+    rain_share, scene_share = np.moveaxis(shares_slowly(splats, camera), -1, 0)
+    wet, alpha = rain_share > 0, image[..., 3]
+    transmittance = np.where(alpha > 0, np.minimum(scene_share / np.maximum(alpha, 1e-30), 1), 1)[..., None]
+    mixed = linear_to_srgb(transmittance * srgb_to_linear(image[..., :3]) + rain_share[..., None] * light_linear)
+    image[wet, :3] = mixed[wet]
+    image[wet, 3] = (rain_share + scene_share)[wet]
+    return image
+
+
+def shares_slowly(splats: Sequence[_Splat], camera: Camera) -> Float64[np.ndarray, "h w 2"]:
+    """How much of rain and of scene the eye sees through both, nearest splat first, until the clear scene is opaque."""
+    shape = (camera.height, camera.width)
+    clear, together, is_open = np.ones(shape), np.ones(shape), np.ones(shape, bool)
+    shares = np.zeros((*shape, 2))
+    for splat in splats:
+        alpha = _alpha(splat, camera)
+        if not splat.is_rain:
+            is_open &= clear * (1 - alpha) >= MIN_TRANSMITTANCE
+            clear *= 1 - alpha
+        share = np.where(is_open, together * alpha, 0)
+        shares[..., 0 if splat.is_rain else 1] += share
+        together -= share
+    return shares
+
+
+def _nearest_first(
+    parts: Sequence[Part], camera: Camera, rain: Sequence[Bool[np.ndarray, " _"] | None] | None
+) -> list[_Splat]:
     splats: list[_Splat] = []
     for index, part in enumerate(parts):
         flags = rain[index] if rain is not None else None
@@ -34,29 +79,35 @@ def rasterize_slowly(
             splat = _projected(part, i, camera, flags is not None and bool(flags[i]))
             if splat is not None:
                 splats.append(splat)
-    weights = weights_slowly(sorted(splats, key=lambda splat: np.float32(splat.depth)), camera)
+    return sorted(splats, key=lambda splat: np.float32(splat.depth))
+
+
+def _blended(splats: Sequence[_Splat], camera: Camera) -> Float64[np.ndarray, "h w 5"]:
     image = np.zeros((camera.height, camera.width, 5))
-    for splat, weight in weights:
+    for splat, weight in weights_slowly(splats, camera):
         image += weight[..., None] * np.array([*splat.color, 1.0, splat.depth])
     return image
 
 
-def weights_slowly(
-    splats: Sequence[_Splat], camera: Camera
-) -> list[tuple[_Splat, Float64[np.ndarray, "h w"]]]:
+def weights_slowly(splats: Sequence[_Splat], camera: Camera) -> list[tuple[_Splat, Float64[np.ndarray, "h w"]]]:
     """Blending weight of each splat in each pixel, nearest splat first."""
-    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
-    transmittance, is_open = np.ones(v.shape), np.ones(v.shape, bool)
+    shape = (camera.height, camera.width)
+    transmittance, is_open = np.ones(shape), np.ones(shape, bool)
     weights: list[tuple[_Splat, Float64[np.ndarray, "h w"]]] = []
     for splat in splats:
-        offset = np.stack([u, v], axis=-1) - splat.center
-        power = -0.5 * np.einsum("...i,ij,...j", offset, np.linalg.inv(splat.covariance), offset)
-        alpha = splat.opacity * np.exp(power)
-        alpha = np.where(alpha >= splat.cut, np.minimum(alpha, MAX_ALPHA), 0)
+        alpha = _alpha(splat, camera)
         is_open &= transmittance * (1 - alpha) >= MIN_TRANSMITTANCE
         weights.append((splat, np.where(is_open, transmittance * alpha, 0)))
         transmittance = np.where(is_open, transmittance * (1 - alpha), transmittance)
     return weights
+
+
+def _alpha(splat: _Splat, camera: Camera) -> Float64[np.ndarray, "h w"]:
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    offset = np.stack([u, v], axis=-1) - splat.center
+    power = -0.5 * np.einsum("...i,ij,...j", offset, np.linalg.inv(splat.covariance), offset)
+    alpha = splat.opacity * np.exp(power)
+    return np.where(alpha >= splat.cut, np.minimum(alpha, MAX_ALPHA), 0)
 
 
 def _projected(part: Part, i: int, camera: Camera, is_rain: bool) -> _Splat | None:
@@ -71,9 +122,7 @@ def _projected(part: Part, i: int, camera: Camera, is_rain: bool) -> _Splat | No
     margin_x, margin_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
     slope_x = np.clip(x / z, -camera.cx / camera.fx - margin_x, (camera.width - camera.cx) / camera.fx + margin_x)
     slope_y = np.clip(y / z, -camera.cy / camera.fy - margin_y, (camera.height - camera.cy) / camera.fy + margin_y)
-    jacobian = np.array(
-        [[camera.fx / z, 0, -camera.fx * slope_x / z], [0, camera.fy / z, -camera.fy * slope_y / z]]
-    )
+    jacobian = np.array([[camera.fx / z, 0, -camera.fx * slope_x / z], [0, camera.fy / z, -camera.fy * slope_y / z]])
     axes = matrices_from_quaternions(g.quaternions[i].astype(np.float64)) * g.scales[i]
     half = jacobian @ object_to_camera[:3, :3] @ axes
     covariance = half @ half.T + DILATION_PX2 * np.eye(2)
@@ -82,7 +131,7 @@ def _projected(part: Part, i: int, camera: Camera, is_rain: bool) -> _Splat | No
         opacity *= float(np.sqrt(max(np.linalg.det(half @ half.T), 0) / np.linalg.det(covariance)))
         cut = RAIN_ALPHA_CUT
     center = np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
-    return _Splat(center, covariance, opacity, cut, _color(part, i, camera), float(z))
+    return _Splat(center, covariance, opacity, cut, _color(part, i, camera), float(z), is_rain)
 
 
 def _color(part: Part, i: int, camera: Camera) -> Float64[np.ndarray, "3"]:

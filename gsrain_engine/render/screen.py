@@ -16,7 +16,9 @@ class Screen:
         self._texture: moderngl.Texture | None = None
         self._framebuffer: moderngl.Framebuffer | None = None
 
-    def show(self, picture: moderngl.Texture, background: Color = (0.0, 0.0, 0.0), gain: float = 1.0) -> moderngl.Texture:
+    def show(
+        self, picture: moderngl.Texture, background: Color = (0.0, 0.0, 0.0), gain: float = 1.0
+    ) -> moderngl.Texture:
         """Tone-map a premultiplied picture; `gain` multiplies linear light."""
         if self._texture is None or self._texture.size != picture.size:
             if self._texture is not None and self._framebuffer is not None:

@@ -11,9 +11,9 @@ from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 
 from .frame import Frame
+from .renderer import Renderer
 from .scene_view import Shot, draw_shot
 from .sky_color import Sky, sky_color
-from .renderer import Renderer
 
 
 class RenderedFrame(NamedTuple):
@@ -59,7 +59,5 @@ class FrameSequence:
     ) -> Iterator[RenderedFrame]:
         """Render frames by their numbers, in any order."""
         for number in numbers:
-            rain = draw_shot(
-                renderer, self.scene, self.rainfall, sky.color, self.shot(number), with_depth=with_depth
-            )
+            rain = draw_shot(renderer, self.scene, self.rainfall, sky.color, self.shot(number), with_depth=with_depth)
             yield RenderedFrame(number, renderer.read(), rain)

@@ -1,4 +1,4 @@
-"""The colour of a scene's sky, which is the colour of its drops (paper, eq. 3): taken once, the same for every camera."""
+"""The colour of a scene's sky, which is that of its drops (paper, eq. 3): taken once, the same for every camera."""
 
 from typing import NamedTuple
 

@@ -151,9 +151,7 @@ class SplatRenderer:
             self._project["first_splat"] = first + index * CHUNK
             self._project.run(-(-count // 256))
 
-    def _blend(
-        self, order: UInt32[np.ndarray, " m"], camera: Camera, *, with_depth: bool, linear_rain: bool
-    ) -> None:
+    def _blend(self, order: UInt32[np.ndarray, " m"], camera: Camera, *, with_depth: bool, linear_rain: bool) -> None:
         """Draw the splats of an order over nothing."""
         target = self._target("splats", (camera.width, camera.height), shares=linear_rain, depth=with_depth)
         switches = ("LINEAR_RAIN",) * linear_rain + ("WITH_DEPTH",) * with_depth

@@ -95,13 +95,9 @@ class Camera:
             matrix = np.array(values["world_to_camera"], dtype=np.float64)
             if matrix.shape != (4, 4):
                 raise SceneFormatError(source, f"world_to_camera has shape {matrix.shape}, expected 4x4")
-            camera = cls(
-                int(values["width"]),
-                int(values["height"]),
-                *(float(values[key]) for key in ("fx", "fy", "cx", "cy")),
-                matrix,
-                float(values.get("exposure_s", DEFAULT_EXPOSURE_S)),
-            )
+            fx, fy, cx, cy = (float(values[key]) for key in ("fx", "fy", "cx", "cy"))
+            exposure_s = float(values.get("exposure_s", DEFAULT_EXPOSURE_S))
+            camera = cls(int(values["width"]), int(values["height"]), fx, fy, cx, cy, matrix, exposure_s)
         except KeyError as error:
             raise SceneFormatError(source, f"camera has no field {error.args[0]!r}") from None
         except SceneFormatError:

@@ -95,9 +95,7 @@ def drive_path(scene: Scene, mounted: RigCamera, width: int, height: int) -> Cam
     if scene.ego is None or not len(scene.ego.times):
         raise ValueError(f"scene {scene.name!r} has no ego track to drive along")
     poses = [
-        (t, pose @ mounted.camera_to_ego)
-        for t in scene.ego.times
-        if (pose := scene.ego_to_world(float(t))) is not None
+        (t, pose @ mounted.camera_to_ego) for t in scene.ego.times if (pose := scene.ego_to_world(float(t))) is not None
     ]
     # The mounted camera's focal length in relation to the image's width: what is seen to the sides stays.
     focal = mounted.fx * width / mounted.width
@@ -115,7 +113,7 @@ def drive_path(scene: Scene, mounted: RigCamera, width: int, height: int) -> Cam
 def orbit_path(
     center: Float64[np.ndarray, "3"], camera: Camera, duration_s: float, sweep_deg: float = 40.0
 ) -> CameraPath:
-    """Swing around a point from one side of a camera's place to the other, looking as the camera does. World z is up."""
+    """Swing around a point, from one side of a camera's place to the other, looking as it does. World z is up."""
     angles = np.radians(np.linspace(-sweep_deg / 2, sweep_deg / 2, 9))
     turns = Rotation.from_euler("z", angles[:, None]).as_matrix()
     pose = camera.camera_to_world

@@ -57,7 +57,7 @@ def write_camera_path(path: Path | str, camera_path: CameraPath) -> None:
 def _reader(values: Any, path: Path | str) -> Callable[[Any], CameraPath]:
     if isinstance(values, dict) and "keyframes" in values:
         if values.get("version", VERSION) > VERSION:
-            raise SceneFormatError(path, f"version {values['version']} is newer than {VERSION}, which this program reads")
+            raise SceneFormatError(path, f"version {values['version']} is newer than {VERSION}, which this reads")
         return _own
     if isinstance(values, dict) and "camera_path" in values:
         return _nerfstudio

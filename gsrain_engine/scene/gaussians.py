@@ -57,7 +57,10 @@ class Gaussians:
     def take(self, indices: "Int[np.ndarray, ' m'] | UInt32[np.ndarray, ' m'] | slice") -> "Gaussians":
         """Pick Gaussians by index or slice, in that order."""
         return Gaussians(
-            self.means[indices], self.scales[indices], self.quaternions[indices], self.opacities[indices],
+            self.means[indices],
+            self.scales[indices],
+            self.quaternions[indices],
+            self.opacities[indices],
             self.sh[indices],
         )
 

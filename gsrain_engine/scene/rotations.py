@@ -43,9 +43,7 @@ def quaternions_from_matrices(rotations: Float[np.ndarray, "*n 3 3"]) -> Float[n
     return np.where(quaternions[..., :1] < 0, -quaternions, quaternions)
 
 
-def quaternion_product(
-    left: Float[np.ndarray, "*n 4"], right: Float[np.ndarray, "*n 4"]
-) -> Float[np.ndarray, "*n 4"]:
+def quaternion_product(left: Float[np.ndarray, "*n 4"], right: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 4"]:
     """Compose rotations: first `right`, then `left`."""
     w1, x1, y1, z1 = np.moveaxis(left, -1, 0)
     w2, x2, y2, z2 = np.moveaxis(right, -1, 0)

@@ -144,9 +144,7 @@ class Scene:
         """Return the scene with the Gaussians of one layer replaced."""
         if name not in [layer.name for layer in self.layers]:
             raise ValueError(f"scene {self.name!r} has no layer {name!r}")
-        layers = tuple(
-            replace(layer, gaussians=gaussians) if layer.name == name else layer for layer in self.layers
-        )
+        layers = tuple(replace(layer, gaussians=gaussians) if layer.name == name else layer for layer in self.layers)
         return replace(self, layers=layers)
 
 
@@ -161,9 +159,7 @@ def rotation_to_z_up(up: tuple[float, float, float]) -> Float64[np.ndarray, "3 3
     return np.eye(3) + cross + cross @ cross / (1 + u[2])
 
 
-def _slerp(
-    start: Float64[np.ndarray, "4"], end: Float64[np.ndarray, "4"], part: float
-) -> Float64[np.ndarray, "4"]:
+def _slerp(start: Float64[np.ndarray, "4"], end: Float64[np.ndarray, "4"], part: float) -> Float64[np.ndarray, "4"]:
     """Spherical linear interpolation of unit quaternions along the shorter way (Shoemake, 1985)."""
     cosine = float(start @ end)
     if cosine < 0:

@@ -175,9 +175,9 @@ class Session:
         self._poll_files()
         if self.job is not None and self.job.state == "running":
             self.job.poll()
-            if self.job.state == "finished" and self.job.result is not None:
+            if self.job.result is not None:
                 self.staged = StagedScene(self.job.title, self.job.result)
-            elif self.job.state == "failed":
+            elif self.job.error is not None:
                 logger.error("%s failed: %s", self.job.title, self.job.error)
 
     def shot(self, width: int, height: int, focal_scale: float = 1.0) -> Shot:

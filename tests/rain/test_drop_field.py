@@ -81,7 +81,7 @@ def test_compiled_search_finds_what_the_reference_places(time_s):
     seen = in_region & (depth >= 0) & (depth <= cull.class_far_m[every.class_index])
     seen &= (u >= s[0] * depth - m) & (u <= s[1] * depth + m) & (v >= s[2] * depth - m) & (v <= s[3] * depth + m)
     assert seen.sum() > 50
-    assert np.array_equal(found.index, np.flatnonzero(seen))
+    assert np.array_equal(found.numbers, np.flatnonzero(seen))
     assert np.array_equal(found.fractions, every.fractions[seen])
     assert count_in_region(50_000, 7, where, PERIOD, cull) == in_region.sum()
 

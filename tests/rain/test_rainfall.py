@@ -73,9 +73,7 @@ def test_gusts_integrate_to_their_displacement():
 def test_cameras_of_a_rig_see_the_same_drops():
     """Two cameras on one anchor: streaks that both draw stand at the same places."""
     rainfall = Rainfall.start(msgspec.structs.replace(load_preset("8.5"), haze=False))
-    left, right = (
-        rainfall.at(2.0, view((0.0, y, 1.5), anchor_at=(0.0, 0, 1.5))) for y in (0.05, -0.05)
-    )
+    left, right = (rainfall.at(2.0, view((0.0, y, 1.5), anchor_at=(0.0, 0, 1.5))) for y in (0.05, -0.05))
     assert left is not None and right is not None
     shared = {tuple(np.round(p, 4)) for p in left.gaussians.means} & {
         tuple(np.round(p, 4)) for p in right.gaussians.means

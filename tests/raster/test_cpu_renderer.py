@@ -96,8 +96,8 @@ def test_depth_is_the_clear_scenes_own(mixing):
 
 def test_rain_behind_a_wall_is_not_seen():
     wall = Gaussians(
-        np.array([[0, 0, 0.5]] * 4, np.float32), np.full((4, 3), 5, np.float32), np.array([[1, 0, 0, 0]] * 4, np.float32),
-        np.ones(4, np.float32), np.zeros((4, 1, 3), np.float32),
+        np.array([[0, 0, 0.5]] * 4, np.float32), np.full((4, 3), 5, np.float32),
+        np.array([[1, 0, 0, 0]] * 4, np.float32), np.ones(4, np.float32), np.zeros((4, 1, 3), np.float32),
     )  # fmt: skip
     parts = [Part(wall, np.eye(4))]
     np.testing.assert_array_equal(drawn(parts, drops(opacity=1)).rgba, drawn(parts).rgba)

@@ -46,7 +46,7 @@ def small_scene() -> Scene:
 
 def small_shot() -> Shot:
     eye = np.array([0.0, 0.0, 1.6])
-    camera = Camera.from_fov(320, 200, 45.0, look_at(eye, eye + [1, 0.1, 0.1], UP))
+    camera = Camera.from_fov(320, 200, 45.0, look_at(eye, eye + np.array([1, 0.1, 0.1]), UP))
     return Shot(camera, 2.0, np.array([8.0, 0.0, 0.0]))
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gsrain_engine.scene.camera_path import CameraPath, drive_path, orbit_path
 from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.camera_path import CameraPath, drive_path, orbit_path
 from gsrain_engine.scene.camera_path_files import read_camera_path, write_camera_path
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.scene import RigCamera, Scene, Track
@@ -48,7 +48,9 @@ def test_path_goes_through_its_keys():
 
 def test_velocity_is_the_derivative_of_the_position():
     path = straight()
-    bent = CameraPath(path.times_s, path.positions + np.sin(path.times_s)[:, None], path.quaternions_wxyz, path.vertical_fov_deg)
+    bent = CameraPath(
+        path.times_s, path.positions + np.sin(path.times_s)[:, None], path.quaternions_wxyz, path.vertical_fov_deg
+    )
     h = 1e-6
     difference = (bent.camera(1.7 + h, 9, 6).position - bent.camera(1.7 - h, 9, 6).position) / (2 * h)
     assert bent.velocity(1.7) == pytest.approx(difference, rel=1e-5)

@@ -8,8 +8,10 @@ from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.rotations import matrices_from_quaternions, quaternion_product, quaternions_from_matrices
 from gsrain_engine.scene.scene import Actor, Layer, Scene, Track, rotation_to_z_up
 
-unit = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1).map(
-    lambda q: np.array(q) / np.linalg.norm(q)
+unit = (
+    st.tuples(*[st.floats(-1, 1)] * 4)
+    .filter(lambda q: np.linalg.norm(q) > 0.1)
+    .map(lambda q: np.array(q) / np.linalg.norm(q))
 )
 
 
