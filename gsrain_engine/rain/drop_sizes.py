@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from jaxtyping import Float, Float64
@@ -14,6 +14,15 @@ LARGEST_MM = 8.0
 
 CLASSES = 16384
 """Diameter classes of a drop field: class c is the quantile (c + 1/2) / CLASSES. A drop keeps its class as R moves."""
+
+
+@cache
+def _quadrature() -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Gauss-Legendre nodes in mm and their weights, in the square root of D: they crowd where small drops are."""
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    low, high = np.sqrt(SMALLEST_MM), np.sqrt(LARGEST_MM)
+    root = low + 0.5 * (nodes + 1) * (high - low)
+    return root**2, weights * root
 
 
 @dataclass(frozen=True)
@@ -41,13 +50,9 @@ class DropSizes:
 
     def expectation(self, quantity: Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]) -> float:
         """Mean of a quantity of the diameter (mm) over the drops, by Gauss-Legendre quadrature."""
-        nodes, weights = np.polynomial.legendre.leggauss(400)
-        # In the square root of D the nodes crowd where small shapes have their mass.
-        low, high = np.sqrt(SMALLEST_MM), np.sqrt(LARGEST_MM)
-        root = low + 0.5 * (nodes + 1) * (high - low)
-        diameter = root**2
+        diameter, weight = _quadrature()
         log_density = (self.shape - 1) * np.log(diameter) - diameter / self.scale_mm
-        mass = weights * root * np.exp(log_density - log_density.max())
+        mass = weight * np.exp(log_density - log_density.max())
         return float(np.sum(mass * quantity(diameter)) / np.sum(mass))
 
     @cached_property

@@ -11,6 +11,10 @@ class Clock:
     playing: bool = True
     speed: float = 1.0
 
+    def toggle(self) -> None:
+        """Play or pause."""
+        self.playing = not self.playing
+
     def advance(self, real_s: float) -> None:
         """Let real seconds go by."""
         if self.playing:

@@ -86,6 +86,10 @@ class Navigation:
         self.velocity_m_s = velocity
         self.position = self.position + velocity * real_s
 
+    def stop(self) -> None:
+        """Stand still."""
+        self.velocity_m_s = np.zeros(3)
+
     def change_speed(self, steps: float) -> None:
         """Fly faster or slower, by a quarter a step."""
         self.speed_m_s = float(np.clip(self.speed_m_s * 1.25**steps, SLOWEST_M_S, FASTEST_M_S))

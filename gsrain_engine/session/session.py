@@ -3,10 +3,12 @@
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 
 import msgspec
 import numpy as np
+import platformdirs
 
 from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain import Rain
@@ -40,6 +42,10 @@ class ViewOptions:
     background: Color = (0.0, 0.0, 0.0)
     gain_ev: float = 0.0
     """Brightens or darkens the display only."""
+    shrink: int = 1
+    """Draw every so many-th pixel in each direction; the rain keeps the drops of the full picture."""
+    beyond_calibration: bool = False
+    """Let the intensity slider go on to 100 mm/h."""
     follow_path: bool = False
     """Ride along the camera path instead of flying by hand."""
 
@@ -66,6 +72,8 @@ class Session:
         self.sky: Color = OVERCAST
         self.sky_is_stale = True
         """Whether the live view should look at the sky again."""
+        self.backend = ""
+        """What draws the viewport."""
         self.statistics: dict[str, float] = {}
         """Figures of the last frame, by name: the Statistics panel shows them in this order."""
         self.path: CameraPath | None = None
@@ -147,6 +155,12 @@ class Session:
             return f"Opening {self._opening[0]}"
         return f"Saving {self._saving[0]}" if self._saving is not None else None
 
+    @property
+    def is_working(self) -> bool:
+        """Whether anything goes on in the background that a frame should look after."""
+        job = self.job is not None and self.job.state == "running"
+        return job or self.busy is not None or self.staged is not None
+
     # The job
 
     def make_rainy(self) -> None:
@@ -189,6 +203,17 @@ class Session:
             return Shot(camera, along, self.path.velocity(along), camera.fx * focal_scale)
         camera = self.navigation.camera(width, height)
         return Shot(camera, t, self.navigation.velocity_m_s, camera.fx * focal_scale)
+
+    def take_screenshot(self, folder: Path | None = None) -> None:
+        """Save the next picture under the present date and time, by default in the person's pictures folder."""
+        folder = folder or Path(platformdirs.user_pictures_dir())
+        name = f"gsrain_{datetime.now():%Y-%m-%d_%H-%M-%S}"
+        path = folder / f"{name}.png"
+        number = 1
+        while path.exists():
+            number += 1
+            path = folder / f"{name}_{number}.png"
+        self.screenshot = path
 
     def frame_scene(self) -> None:
         """Back off until the whole scene can be seen."""

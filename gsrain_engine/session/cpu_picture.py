@@ -1,0 +1,66 @@
+"""The processor's pictures as textures, once its kernels are compiled; compiling happens in the background."""
+
+import logging
+import threading
+
+import moderngl
+import numpy as np
+
+from gsrain_engine.rain.rain_gaussians import RainGaussians
+from gsrain_engine.raster.cpu_renderer import CpuRenderer
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.scene import Part
+
+logger = logging.getLogger("gsrain")
+
+
+class CpuPicture:
+    """A CPU renderer and the texture its pictures go to."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self.renderer = CpuRenderer()
+        self._context = context
+        self._texture: moderngl.Texture | None = None
+        self._compiled = threading.Event()
+        threading.Thread(target=self._compile, name="compile kernels", daemon=True).start()
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether drawing will not have to wait for a compiler."""
+        return self._compiled.is_set()
+
+    def upload(self) -> moderngl.Texture:
+        """Bring the renderer's last picture into a texture."""
+        rgba = self.renderer.read().rgba
+        size = (rgba.shape[1], rgba.shape[0])
+        if self._texture is None or self._texture.size != size:
+            if self._texture is not None:
+                self._texture.release()
+            self._texture = self._context.texture(size, 4, dtype="f4")
+            self._texture.filter = moderngl.NEAREST, moderngl.NEAREST
+        self._texture.write(np.ascontiguousarray(rgba))
+        return self._texture
+
+    def _compile(self) -> None:
+        try:
+            compile_kernels()
+        except Exception:  # OpenGL goes on drawing, slower: the window must not end over this
+            logger.exception("The processor's kernels can't be compiled; OpenGL draws instead")
+        else:
+            self._compiled.set()
+
+
+def compile_kernels() -> None:
+    """Draw one Gaussian in every way there is, so that each kernel is compiled (or read from the cache)."""
+    f = np.float32
+    one = Gaussians(
+        np.array([[0, 0, 2]], f), np.full((1, 3), 0.1, f), np.array([[1, 0, 0, 0]], f), np.ones(1, f),
+        np.zeros((1, 1, 3), f),
+    )  # fmt: skip
+    camera = Camera(32, 32, 32.0, 32.0, 16.0, 16.0)
+    renderer, part = CpuRenderer(), Part(one, np.eye(4))
+    for degree in (1, 4, 9, 16):
+        renderer.draw([Part(one.with_sh(np.zeros((1, degree, 3), f)), np.eye(4))], camera, with_depth=True)
+    renderer.draw([part], camera, RainGaussians(one, np.ones(3, f), "linear", 1, 0))
+    renderer.draw([part], camera, RainGaussians(one, np.ones(3, f), "display", 1, 0))

@@ -1,0 +1,48 @@
+"""The Scene panel: layers, actors, how the scene lies in the world."""
+
+from imgui_bundle import imgui
+
+from gsrain_engine.session.session import Session
+
+from .fields import plain_label
+
+
+def scene_panel(session: Session) -> None:
+    """Draw the panel."""
+    scene = session.scene
+    imgui.text(f"{scene.name}: {scene.gaussian_count:,} Gaussians")
+    flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop
+    if imgui.begin_table("members", 3, flags):
+        for layer in scene.layers:
+            _member(session, layer.name, layer.kind, len(layer.gaussians), layer.visible)
+        for actor in scene.actors:
+            _member(session, actor.id, f"actor, {actor.class_name}", len(actor.gaussians), actor.visible)
+        imgui.end_table()
+    imgui.separator_text("View")
+    view = session.view
+    plain_label("Background", "Shown where the scene has nothing.")
+    _, color = imgui.color_edit3("##background", list(view.background))
+    view.background = (color[0], color[1], color[2])
+    plain_label("Display gain (EV)", "Brightens or darkens the display only, not the scene.")
+    _, view.gain_ev = imgui.slider_float("##gain", view.gain_ev, -3, 3, "%.1f")
+    plain_label("Resolution", "Draw fewer pixels while tuning; the rain keeps its drops.")
+    changed, index = imgui.combo("##resolution", view.shrink - 1, ["100 %", "50 %", "33 %"])
+    if changed:
+        view.shrink = index + 1
+    plain_label("Field of view", "Vertical, in degrees.")
+    _, session.navigation.vertical_fov_deg = imgui.slider_float(
+        "##fov", session.navigation.vertical_fov_deg, 15, 110, "%.0f"
+    )
+
+
+def _member(session: Session, name: str, kind: str, count: int, visible: bool) -> None:
+    imgui.table_next_row()
+    imgui.table_next_column()
+    changed, shown = imgui.checkbox(f"{name}##{kind}", visible)
+    imgui.set_item_tooltip("Show or hide.")
+    if changed:
+        session.show_member(name, shown)
+    imgui.table_next_column()
+    imgui.text_disabled(kind)
+    imgui.table_next_column()
+    imgui.text(f"{count:,}")

@@ -1,0 +1,18 @@
+"""The Statistics panel: frames a second, milliseconds a stage, what was drawn."""
+
+from imgui_bundle import imgui
+
+from gsrain_engine.session.session import Session
+
+
+def statistics_panel(session: Session) -> None:
+    """Draw the panel."""
+    imgui.text(f"{imgui.get_io().framerate:.1f} frames a second, back end: {session.backend}")
+    if imgui.begin_table("statistics", 2, imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop):
+        for name, value in session.statistics.items():
+            imgui.table_next_row()
+            imgui.table_next_column()
+            imgui.text(name)
+            imgui.table_next_column()
+            imgui.text(f"{value:.1f}" if name.endswith("ms") else f"{value:,.0f}")
+        imgui.end_table()

@@ -1,0 +1,25 @@
+"""The line at the bottom: scene, rain, what is being done."""
+
+from imgui_bundle import imgui
+
+from gsrain_engine.session.session import Session
+
+from .rain_panel import WARNING
+
+
+def status_bar(session: Session) -> None:
+    """Draw the bar's content."""
+    state = session.rainfall.state
+    imgui.text(f"{session.scene.name}   {state.intensity_mm_h:.1f} mm/h   {session.backend}")
+    if state.beyond_calibration:
+        imgui.same_line()
+        imgui.text_colored(WARNING, "beyond calibration")
+    if session.rain.exaggeration:
+        imgui.same_line()
+        imgui.text_colored(WARNING, session.rain.exaggeration)
+    if session.job is not None and session.job.state == "running":
+        imgui.same_line()
+        imgui.text(f"  {session.job.title}: {100 * session.job.progress.fraction:.0f} %")
+    if session.busy is not None:
+        imgui.same_line()
+        imgui.text(f"  {session.busy}")

@@ -1,0 +1,109 @@
+"""The viewport: the picture, navigation by mouse and keys, outlines of the rain regions, a small toolbar."""
+
+from collections.abc import Callable
+
+from imgui_bundle import ImVec2, ImVec4, imgui
+
+from gsrain_engine.session.region_outlines import region_outlines
+from gsrain_engine.session.session import Session
+
+TextureOf = Callable[[int, int], int]
+"""Draws the session for a size in pixels and returns the texture's OpenGL name."""
+
+_OUTLINE = {"streak region": ImVec4(0.45, 0.85, 1.0, 0.9), "haze region": ImVec4(1.0, 0.8, 0.45, 0.9)}
+_RADIANS_PER_PIXEL = 0.005
+_FAST = 4.0
+_KEYS = {
+    imgui.Key.w: (1, 0, 0), imgui.Key.s: (-1, 0, 0), imgui.Key.d: (0, 1, 0), imgui.Key.a: (0, -1, 0),
+    imgui.Key.e: (0, 0, 1), imgui.Key.q: (0, 0, -1),
+}  # fmt: skip
+
+HELP = (
+    "Left drag: orbit    right drag: look around    middle drag: pan    wheel: nearer, farther\n"
+    "W A S D: fly    Q E: down, up    Shift: faster    Ctrl+wheel: fly speed\n"
+    "F: frame the scene    R: back to the start    Space: play, pause    F12: screenshot"
+)
+
+
+def viewport_panel(session: Session, texture_of: TextureOf) -> None:
+    """Draw the panel."""
+    _toolbar(session)
+    size = imgui.get_content_region_avail()
+    width, height = max(int(size.x), 16), max(int(size.y), 16)
+    corner = imgui.get_cursor_screen_pos()
+    imgui.image(imgui.ImTextureRef(texture_of(width, height)), ImVec2(width, height))
+    imgui.set_cursor_screen_pos(corner)
+    flags = imgui.ButtonFlags_.mouse_button_left | imgui.ButtonFlags_.mouse_button_right
+    imgui.invisible_button("view", ImVec2(width, height), flags | imgui.ButtonFlags_.mouse_button_middle)
+    _outlines(session, corner, width, height)
+    _mouse(session, height)
+    _keyboard(session)
+
+
+def _toolbar(session: Session) -> None:
+    if imgui.button("Pause" if session.clock.playing else "Play"):
+        session.clock.toggle()
+    imgui.set_item_tooltip("Let time go on or stop it (Space).")
+    imgui.same_line()
+    _, session.view.follow_path = imgui.checkbox("Ride along", session.view.follow_path)
+    imgui.set_item_tooltip("Ride along the scene's own path: its ego vehicle, or a swing around its middle.")
+    imgui.same_line()
+    if imgui.button("Frame"):
+        session.frame_scene()
+    imgui.set_item_tooltip("Back off until the whole scene can be seen (F).")
+    imgui.same_line()
+    if imgui.button("Home"):
+        session.go_home()
+    imgui.set_item_tooltip("Back to where the scene was first looked at from (R).")
+    imgui.same_line()
+    if imgui.button("Screenshot"):
+        session.take_screenshot()
+    imgui.set_item_tooltip("Save the picture as PNG (F12); the log says where.")
+    imgui.same_line()
+    imgui.text_disabled(f"{session.clock.time_s:8.2f} s    fly {session.navigation.speed_m_s:.1f} m/s    (?)")
+    imgui.set_item_tooltip(HELP)
+
+
+def _outlines(session: Session, corner: ImVec2, width: int, height: int) -> None:
+    draw = imgui.get_window_draw_list()
+    draw.push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height), True)
+    for outline in region_outlines(session, width, height):
+        color = imgui.get_color_u32(_OUTLINE[outline.name])
+        for (x0, y0), (x1, y1) in outline.lines_px.tolist():
+            draw.add_line(ImVec2(corner.x + x0, corner.y + y0), ImVec2(corner.x + x1, corner.y + y1), color, 1.5)
+    draw.pop_clip_rect()
+
+
+def _mouse(session: Session, height: int) -> None:
+    navigation, io = session.navigation, imgui.get_io()
+    if imgui.is_item_active():
+        moved = io.mouse_delta
+        if moved.x or moved.y:
+            session.view.follow_path = False
+        if imgui.is_mouse_down(imgui.MouseButton_.left):
+            navigation.orbit(moved.x * _RADIANS_PER_PIXEL, -moved.y * _RADIANS_PER_PIXEL)
+        elif imgui.is_mouse_down(imgui.MouseButton_.right):
+            navigation.turn(-moved.x * _RADIANS_PER_PIXEL, -moved.y * _RADIANS_PER_PIXEL)
+        elif imgui.is_mouse_down(imgui.MouseButton_.middle):
+            navigation.pan(-moved.x / height, moved.y / height)
+    if imgui.is_item_hovered() and io.mouse_wheel:
+        if io.key_ctrl:
+            navigation.change_speed(io.mouse_wheel)
+        else:
+            session.view.follow_path = False
+            navigation.dolly(io.mouse_wheel)
+
+
+def _keyboard(session: Session) -> None:
+    io = imgui.get_io()
+    if io.want_text_input or not imgui.is_window_hovered(imgui.HoveredFlags_.root_and_child_windows):
+        session.navigation.stop()
+        return
+    pressed = [direction for key, direction in _KEYS.items() if imgui.is_key_down(key)] if not io.key_ctrl else []
+    if not pressed:
+        session.navigation.stop()
+        return
+    session.view.follow_path = False
+    forward, right, up = (sum(axis) for axis in zip(*pressed, strict=True))
+    fast = _FAST if io.key_shift else 1.0
+    session.navigation.fly(fast * forward, fast * right, fast * up, io.delta_time)
