@@ -41,7 +41,7 @@ class Window:
     def __init__(self, session: Session) -> None:
         self.session = session
         self._menus = Menus(session)
-        self._view: LiveView | None = None
+        self.view: LiveView | None = None
         self._last_problem = ""
 
     def parameters(self) -> hello_imgui.RunnerParams:
@@ -54,7 +54,7 @@ class Window:
         )
         parameters.imgui_window_params.show_menu_bar = True
         parameters.imgui_window_params.show_status_bar = True
-        parameters.imgui_window_params.show_status_fps = True
+        parameters.imgui_window_params.show_status_fps = False
         parameters.ini_folder_type = hello_imgui.IniFolderType.app_user_config_folder
         parameters.ini_filename = "gsrain/window.ini"
         parameters.docking_params.docking_splits = _splits()
@@ -71,7 +71,7 @@ class Window:
 
     def _start(self) -> None:
         """Share the window's OpenGL context and take in dropped files."""
-        self._view = LiveView(moderngl.create_context(require=REQUIRED_VERSION), self.session)
+        self.view = LiveView(moderngl.create_context(require=REQUIRED_VERSION), self.session)
         glfw.set_drop_callback(glfw_utils.glfw_window_hello_imgui(), lambda _, paths: self.drop(paths))
 
     def drop(self, paths: list[str]) -> None:
@@ -104,14 +104,14 @@ class Window:
         viewport_panel(self.session, self._texture)
 
     def _texture(self, width: int, height: int) -> int:
-        assert self._view is not None
+        assert self.view is not None
         try:
-            return self._view.draw(width, height).glo
+            return self.view.draw(width, height).glo
         except MemoryError as problem:  # a scene too large for the driver: say so once, and keep the last picture
             if str(problem) != self._last_problem:
                 self._last_problem = str(problem)
                 logger.error("%s", problem)
-            return self._view.last_texture
+            return self.view.last_texture
 
 
 def _dockable(title: str, space: str, draw: object) -> hello_imgui.DockableWindow:

@@ -19,7 +19,11 @@ def rain_readout_panel(session: Session) -> None:
         ("Asked for", f"{state.intensity_mm_h:.2f} mm/h", "Rainfall intensity R."),
         ("Drawn drops carry", f"{state.implied_mm_h:.2f} mm/h", "6e-4 pi N E[V D^3] of the drops as drawn."),
         ("Table would carry", f"{state.table_implied_mm_h:.2f} mm/h", "The same for the calibration's own density."),
-        ("Drops per m3", f"{state.density_m3:,.0f}", f"Number density N; the table says {state.table_density_m3:,.0f}."),
+        (
+            "Drops per m3",
+            f"{state.density_m3:,.0f}",
+            f"Number density N; the table says {state.table_density_m3:,.0f}.",
+        ),
         ("Gamma shape", f"{state.shape:.3f}", "mu of the gamma law of diameters."),
         ("Gamma scale", f"{state.scale_mm:.4f} mm", "theta of the gamma law of diameters."),
         ("Mean diameter", f"{state.mean_diameter_mm:.3f} mm", "Of all drops in the air."),

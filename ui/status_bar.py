@@ -10,7 +10,11 @@ from .rain_panel import WARNING
 def status_bar(session: Session) -> None:
     """Draw the bar's content."""
     state = session.rainfall.state
-    imgui.text(f"{session.scene.name}   {state.intensity_mm_h:.1f} mm/h   {session.backend}")
+    rate = imgui.get_io().framerate
+    imgui.text(
+        f"{session.scene.name}   {session.clock.time_s:.1f} s   {state.intensity_mm_h:.1f} mm/h   "
+        f"{rate:.0f} frames/s ({session.backend})"
+    )
     if state.beyond_calibration:
         imgui.same_line()
         imgui.text_colored(WARNING, "beyond calibration")

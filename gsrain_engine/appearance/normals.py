@@ -42,9 +42,7 @@ def normals_from_depth(depth: Float32[np.ndarray, "h w"], camera: Camera) -> Flo
     return (-away @ camera.world_to_camera[:3, :3] * known[..., None]).astype(np.float32)
 
 
-def _slope(
-    inverse: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], axis: int
-) -> Float[np.ndarray, "h w"]:
+def _slope(inverse: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], axis: int) -> Float[np.ndarray, "h w"]:
     """Mean of the differences to both neighbours, or to one where the other lies beyond an edge."""
     steps = np.diff(inverse, axis=axis)
     edge = np.zeros_like(np.take(inverse, [0], axis=axis))

@@ -32,9 +32,7 @@ def rasterize(
     return Frame(rgba, expected(weighted_depth, rgba[..., 3]))
 
 
-def expected(
-    weighted: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]
-) -> Float32[np.ndarray, "h w"]:
+def expected(weighted: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     """Mean of a blended channel over what was blended; 0 where there is nothing."""
     nothing = np.float32(ALPHA_OF_NOTHING)
     return np.where(weight > nothing, weighted / np.maximum(weight, nothing), np.float32(0))

@@ -9,9 +9,7 @@ from jaxtyping import Float32
 
 @numba.njit(inline="always", error_model="numpy")
 @no_type_check
-def sh_basis(
-    x: np.float32, y: np.float32, z: np.float32, coefficients: int, basis: Float32[np.ndarray, "16"]
-) -> None:
+def sh_basis(x: np.float32, y: np.float32, z: np.float32, coefficients: int, basis: Float32[np.ndarray, "16"]) -> None:
     """Write the harmonics of the unit direction (x, y, z), eye to Gaussian, into the first places of `basis`.
 
     `coefficients` is 1, 4, 9 or 16. Constants as in 3DGS (Kerbl et al. 2023).
@@ -31,8 +29,8 @@ def sh_basis(
         basis[9] = np.float32(-0.5900435899266435) * y * (np.float32(3) * x * x - y * y)
         basis[10] = np.float32(2.890611442640554) * x * y * z
         basis[11] = np.float32(-0.4570457994644658) * y * (np.float32(4) * z * z - x * x - y * y)
-        basis[12] = np.float32(0.3731763325901154) * z * (
-            np.float32(2) * z * z - np.float32(3) * x * x - np.float32(3) * y * y
+        basis[12] = (
+            np.float32(0.3731763325901154) * z * (np.float32(2) * z * z - np.float32(3) * x * x - np.float32(3) * y * y)
         )
         basis[13] = np.float32(-0.4570457994644658) * x * (np.float32(4) * z * z - x * x - y * y)
         basis[14] = np.float32(1.445305721320277) * z * (x * x - y * y)

@@ -48,9 +48,7 @@ def _along_the_ego_track(scene: Scene, rig: Sequence[RigCamera], count: int) -> 
     return views
 
 
-def _evenly_driven(
-    times: Float64[np.ndarray, " t"], positions: Float64[np.ndarray, "t 3"], count: int
-) -> list[float]:
+def _evenly_driven(times: Float64[np.ndarray, " t"], positions: Float64[np.ndarray, "t 3"], count: int) -> list[float]:
     """Times at which equal shares of the way are driven; of time, where the vehicle stands still."""
     driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
     if driven[-1] <= 0:

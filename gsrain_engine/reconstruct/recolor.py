@@ -71,9 +71,7 @@ def solve_colors(
     return change
 
 
-def apply_normal(
-    targets: Sequence[ColorTarget], change: Float32[np.ndarray, "n k 3"]
-) -> Float32[np.ndarray, "n k 3"]:
+def apply_normal(targets: Sequence[ColorTarget], change: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "n k 3"]:
     """W^T W times a change of the harmonics, summed over the views in order."""
     result = np.zeros_like(change)
     for target in targets:

@@ -11,6 +11,10 @@ _ROBUST_SHARE = 0.98
 """Share of the opacity along an axis that the robust box keeps; captures have strays far outside."""
 
 
+_SAMPLES = 1_000_000
+"""Gaussians that the robust box looks at, evenly spaced in order: sorting all of 10 million takes seconds."""
+
+
 class Bounds(NamedTuple):
     """An axis-aligned box."""
 
@@ -22,19 +26,24 @@ def bounds(gaussians: Gaussians) -> Bounds:
     """Box around all centres; without Gaussians a point at the origin."""
     if not len(gaussians):
         return Bounds(np.zeros(3), np.zeros(3))
-    return Bounds(gaussians.means.min(axis=0).astype(np.float64), gaussians.means.max(axis=0).astype(np.float64))
+    columns = gaussians.means.T
+    return Bounds(
+        np.array([column.min() for column in columns], np.float64),
+        np.array([column.max() for column in columns], np.float64),
+    )
 
 
 def robust_bounds(gaussians: Gaussians, share: float = _ROBUST_SHARE) -> Bounds:
     """Box that keeps the middle `share` (0..1) of all opacity along each axis; without Gaussians the origin.
 
-    Where everything is fully transparent, every centre counts the same.
+    Where everything is fully transparent, every centre counts the same. Of more than a million, an even share counts.
     """
-    weights = gaussians.opacities.astype(np.float64)
+    chosen = slice(None, None, -(-len(gaussians) // _SAMPLES) or 1)
+    means, weights = gaussians.means[chosen], gaussians.opacities[chosen].astype(np.float64)
     if not weights.sum() > 0:
-        weights = np.ones(len(gaussians))
+        weights = np.ones(len(weights))
     ends = [(1 - share) / 2, (1 + share) / 2]
-    columns = [_weighted_quantiles(column, weights, ends) for column in gaussians.means.T] if len(gaussians) else []
+    columns = [_weighted_quantiles(column, weights, ends) for column in means.T] if len(means) else []
     low, high = np.array(columns, np.float64).T if columns else np.zeros((2, 3))
     return Bounds(low, high)
 

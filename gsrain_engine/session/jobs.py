@@ -33,6 +33,11 @@ class Job:
         self._process.start()
         theirs.close()
 
+    @property
+    def waitable(self) -> Connection:
+        """What `multiprocessing.connection.wait` can wait for: something was said, or the worker is gone."""
+        return self._messages
+
     def poll(self) -> None:
         """Take in what the worker has said since the last call; never waits."""
         if self.state != "running":

@@ -45,13 +45,18 @@ class LiveView:
         session = self.session
         self._go_on_uploading()
         shrink = session.view.shrink
-        shot = session.shot(max(1, width // shrink), max(1, height // shrink), shrink)
+        shot = session.shot(max(1, width // shrink), max(1, height // shrink), float(shrink))
         state = _fingerprint(session, shot, self._on_cpu)
         if self._texture is None or state != self._shown or session.sky_is_stale:
             self._texture = self._draw_anew(shot)
             self._shown = state
         self._save_screenshot(self._texture)
         return self._texture
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the back end that draws is the one that will go on drawing."""
+        return self._cpu is None or self._cpu.is_ready
 
     @property
     def last_texture(self) -> int:

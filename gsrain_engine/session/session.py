@@ -5,6 +5,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -154,6 +155,11 @@ class Session:
         if self._opening is not None:
             return f"Opening {self._opening[0]}"
         return f"Saving {self._saving[0]}" if self._saving is not None else None
+
+    @property
+    def pending_files(self) -> list[Future[Any]]:
+        """Reading and writing that is under way, to wait for where there are no frames to wait with."""
+        return [each[1] for each in (self._opening, self._saving) if each is not None]
 
     @property
     def is_working(self) -> bool:

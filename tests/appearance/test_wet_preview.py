@@ -5,9 +5,7 @@ from gsrain_engine.appearance.wet_preview import ground_share, wet_preview
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.srgb import srgb_to_linear
 
-CAMERA = Camera.from_fov(
-    60, 48, 60, look_at(np.array([0, 0, 1.5]), np.array([1.0, 0, 1.4]), np.array([0.0, 0, 1]))
-)
+CAMERA = Camera.from_fov(60, 48, 60, look_at(np.array([0, 0, 1.5]), np.array([1.0, 0, 1.4]), np.array([0.0, 0, 1])))
 FLAT = np.zeros((48, 60), np.float32)
 
 

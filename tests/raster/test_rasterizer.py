@@ -30,9 +30,7 @@ def moved(gaussians: Gaussians, to_world: np.ndarray) -> Part:
     """Put Gaussians elsewhere in their own frame so that `to_world` brings their means back."""
     rotation = to_world[:3, :3]
     means = np.linalg.solve(rotation, gaussians.means.T - to_world[:3, 3:]).T.astype(np.float32)
-    return Part(
-        Gaussians(means, gaussians.scales, gaussians.quaternions, gaussians.opacities, gaussians.sh), to_world
-    )
+    return Part(Gaussians(means, gaussians.scales, gaussians.quaternions, gaussians.opacities, gaussians.sh), to_world)
 
 
 def assert_like_the_reference(parts, camera, rain=None) -> None:

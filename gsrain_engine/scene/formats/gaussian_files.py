@@ -1,12 +1,14 @@
 """The table of single-file formats; a new one is one file with a reader and one row here."""
 
-from collections.abc import Callable
+import difflib
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from ..errors import SceneFormatError
 from ..gaussians import Gaussians
 from .atomic import whole_file
+from .checks import check_finite
 from .ksplat import read_ksplat
 from .ply import read_ply, write_ply
 from .sog import read_sog
@@ -50,7 +52,7 @@ def read_gaussians(path: Path) -> Gaussians:
     """
     row = format_of(path)
     if row is None:
-        raise SceneFormatError(path, f"no known scene format: the name must end in {_suffixes(FORMATS)}")
+        raise SceneFormatError(path, f"no known scene format: the name must end in {_suffixes(path, FORMATS)}")
     if path.exists() and not path.is_file():
         raise SceneFormatError(path, "not a file")
     return row.read(path)
@@ -60,15 +62,17 @@ def write_gaussians(gaussians: Gaussians, path: Path) -> None:
     """Write a single file of the format that its name says: whole, or not at all and what was there stays.
 
     Raises:
-        SceneFormatError: When no format that can be written has this name, or the format can't hold the values.
+        SceneFormatError: When no format that can be written has this name, or the format can't hold the values, which
+            none can where they are not finite.
         OSError: When the file can't be written.
     """
     row = format_of(path)
     if row is None or row.write is None:
         writable = [each for each in FORMATS if each.write is not None]
-        raise SceneFormatError(path, f"can't be written: the name must end in {_suffixes(writable)}")
+        raise SceneFormatError(path, f"can't be written: the name must end in {_suffixes(path, writable)}")
     if path.is_dir():
         raise SceneFormatError(path, "can't be written: a folder of that name is in the way")
+    check_writable(path, gaussians)
     with whole_file(path) as beside:
         try:
             row.write(gaussians, beside)
@@ -76,6 +80,27 @@ def write_gaussians(gaussians: Gaussians, path: Path) -> None:
             raise SceneFormatError(path, str(error)) from None
 
 
-def _suffixes(rows: "tuple[Format, ...] | list[Format]") -> str:
+def check_writable(path: Path, gaussians: Gaussians, of: str = "") -> None:
+    """Refuse to write what could not be read again; `of` names in errors whose Gaussians they are.
+
+    Raises `SceneFormatError` where values are NaN or infinite.
+    """
+    fields = {
+        "mean": gaussians.means,
+        "scale": gaussians.scales,
+        "quaternion": gaussians.quaternions,
+        "opacity": gaussians.opacities,
+        "colour": gaussians.sh,
+    }
+    check_finite(path, {f"{name}{of}": values for name, values in fields.items()})
+
+
+def close_match(name: str, known: Sequence[str]) -> str:
+    """Question to end an error with, where `name` looks like a slip of the hand for one that is known."""
+    close = difflib.get_close_matches(name.lower(), known, 1)
+    return f" (did you mean {close[0]}?)" if close else ""
+
+
+def _suffixes(path: Path, rows: Sequence[Format]) -> str:
     *first, last = (row.suffix for row in rows)
-    return f"{', '.join(first)} or {last}"
+    return f"{', '.join(first)} or {last}{close_match(path.suffix, [*first, last])}"

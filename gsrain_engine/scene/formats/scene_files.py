@@ -7,7 +7,7 @@ from ..errors import SceneFormatError
 from ..flattening import FILE_UP, flattened
 from ..gaussians import Gaussians
 from ..scene import Layer, Scene
-from .gaussian_files import format_of, read_gaussians, write_gaussians
+from .gaussian_files import close_match, format_of, read_gaussians, write_gaussians
 from .scene_folder import SCENE_FILE, read_scene_folder, write_scene_folder
 from .sog import read_sog
 
@@ -21,19 +21,16 @@ def read_scene(path: Path | str) -> Scene:
     3DGS captures, and a guess for the units that the file does not hold.
 
     Raises:
-        SceneFormatError: When it is no scene, is damaged, or is from a newer program; one sentence says what is wrong.
-        OSError: When it does not exist or can't be read.
+        SceneFormatError: When it does not exist or can't be read, is no scene, is damaged, or is from a newer program;
+            one sentence says what is wrong.
     """
     path = Path(path)
-    if path.name == SCENE_FILE:
-        path = path.parent
-    if not path.is_dir():
-        return _single_layer(_stem(path), read_gaussians(path))
-    if (path / SCENE_FILE).is_file():
-        return read_scene_folder(path)
-    if (path / _SOG_FILE).is_file():
-        return _single_layer(path.resolve().name, read_sog(path))
-    raise SceneFormatError(path, f"a scene folder holds {SCENE_FILE} and a SOG folder {_SOG_FILE}; this has neither")
+    try:
+        return _read(path)
+    except FileNotFoundError:
+        raise SceneFormatError(path, f"there is no such file or folder{_neighbour(path)}") from None
+    except OSError as error:
+        raise SceneFormatError(error.filename or path, f"can't be read: {error.strerror or error}") from None
 
 
 def write_scene(scene: Scene, path: Path | str) -> None:
@@ -55,7 +52,29 @@ def write_scene(scene: Scene, path: Path | str) -> None:
         write_gaussians(flattened(scene), path)
 
 
+def _read(path: Path) -> Scene:
+    path.stat()  # a file that isn't there is named as such, whatever its suffix
+    if path.name == SCENE_FILE:
+        path = path.parent
+    if not path.is_dir():
+        return _single_layer(_stem(path), read_gaussians(path))
+    if (path / SCENE_FILE).is_file():
+        return read_scene_folder(path)
+    if (path / _SOG_FILE).is_file():
+        return _single_layer(path.resolve().name, read_sog(path))
+    raise SceneFormatError(path, f"a scene folder holds {SCENE_FILE} and a SOG folder {_SOG_FILE}; this has neither")
+
+
+def _neighbour(path: Path) -> str:
+    """Ask for a file beside `path` with nearly its name, where there is one."""
+    try:
+        return close_match(path.name, [each.name for each in path.parent.iterdir()])
+    except OSError:
+        return ""
+
+
 def _single_layer(name: str, gaussians: Gaussians) -> Scene:
+    name = name.encode(errors="replace").decode()  # bytes of a file's name that are no UTF-8 can't be saved as JSON
     return Scene(name, layers=(Layer(name, gaussians),), up=FILE_UP)
 
 

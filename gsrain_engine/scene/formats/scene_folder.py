@@ -10,9 +10,9 @@ from ..errors import SceneFormatError
 from ..gaussians import Gaussians
 from ..scene import Scene
 from .atomic import sync, whole_file, whole_folder
-from .gaussian_files import read_gaussians
+from .gaussian_files import check_writable, read_gaussians
 from .ply import write_ply
-from .scene_record import SCENE_VERSION, SceneRecord, record_of, scene_of
+from .scene_record import SCENE_VERSION, SceneRecord, places_not_finite, record_of, scene_of
 
 SCENE_FILE = "scene.json"
 
@@ -46,10 +46,12 @@ def write_scene_folder(scene: Scene, folder: Path) -> None:
     `scene.json` is replaced, which is the moment of change, and then the old files go. Other files in it stay.
 
     Raises:
-        SceneFormatError: When something that is no scene folder, or one of a newer program, is in the way.
+        SceneFormatError: When something that is no scene folder, or one of a newer program, is in the way; or when the
+            scene has values that could not be read again.
         OSError: When it can't be written; what was there is as before.
     """
     folder = folder.resolve()
+    _check_writable(scene, folder)
     if _is_new(folder):
         with whole_folder(folder) as beside:
             _write_all(scene, beside, set())
@@ -58,6 +60,21 @@ def write_scene_folder(scene: Scene, folder: Path) -> None:
         new = _write_all(scene, folder, old)
         for file in old - new:
             file.unlink(missing_ok=True)
+
+
+def _check_writable(scene: Scene, folder: Path) -> None:
+    """Refuse a scene that could not be read again, before it takes the place of one that can."""
+    members = _members(scene)
+    for kind, name, gaussians in members:
+        check_writable(folder, gaussians, f" in {kind} {name!r}")
+    record = record_of(scene, [""] * len(members))
+    path = folder / SCENE_FILE
+    for place in places_not_finite(msgspec.to_builtins(record)):
+        raise SceneFormatError(path, f"can't be written: expected a finite number - at `{place}`")
+    try:
+        scene_of(msgspec.json.decode(msgspec.json.encode(record), type=SceneRecord), [part for *_, part in members])
+    except (ValueError, RecursionError) as error:  # among them msgspec's errors, and text that is no Unicode
+        raise SceneFormatError(path, f"can't be written: {error}") from None
 
 
 def _is_new(folder: Path) -> bool:

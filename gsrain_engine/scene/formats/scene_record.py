@@ -1,5 +1,7 @@
 """What stands in `scene.json`: plain values that msgspec checks, and the way from and to `Scene`."""
 
+import math
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -146,6 +148,18 @@ def scene_of(record: SceneRecord, gaussians: list[Gaussians]) -> Scene:
     )
 
 
+def places_not_finite(value: object, place: str = "$") -> Iterator[str]:
+    """Where plain values hold NaN or infinity: JSON has neither, and msgspec would write null in their place."""
+    if isinstance(value, float) and not math.isfinite(value):
+        yield place
+    elif isinstance(value, dict):
+        for name, each in value.items():
+            yield from places_not_finite(each, f"{place}.{name}")
+    elif isinstance(value, list | tuple):
+        for i, each in enumerate(value):
+            yield from places_not_finite(each, f"{place}[{i}]")
+
+
 def _track_record(track: Track) -> TrackRecord:
     return TrackRecord(
         times=track.times.tolist(),
@@ -162,11 +176,12 @@ def _track(record: TrackRecord, where: str) -> Track:
     times = np.array(record.times, np.float64)
     positions = np.array(record.positions, np.float64).reshape(n, 3)
     quaternions = np.array(record.quaternions_wxyz, np.float64).reshape(n, 4)
-    if (np.diff(times) < 0).any():
+    if (np.diff(times) <= 0).any():
         raise ValueError(f"times must rise - at {where}")
     lengths = np.linalg.norm(quaternions, axis=1)
-    if not ((lengths > 1e-9) & (lengths < 1e9)).all():
-        raise ValueError(f"quaternion {np.flatnonzero(~(lengths > 1e-9))[:1]} must be above 0 long - at {where}")
+    bad = np.flatnonzero(~((lengths > 1e-9) & (lengths < 1e9)))
+    if len(bad):
+        raise ValueError(f"quaternion {bad[0]} must be above 0 long and finite, not {lengths[bad[0]]:g} - at {where}")
     # What is unit already stays as it is, to the bit.
     exact = np.abs(lengths - 1) < 1e-12
     unit = np.where(exact[:, None], quaternions, normalized(quaternions))

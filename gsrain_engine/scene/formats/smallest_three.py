@@ -7,9 +7,7 @@ OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 """Components that are stored, in order, when the largest is component 0, 1, 2 or 3."""
 
 
-def with_largest(
-    largest: Integer[np.ndarray, " n"], others: Float32[np.ndarray, "n 3"]
-) -> Float32[np.ndarray, "n 4"]:
+def with_largest(largest: Integer[np.ndarray, " n"], others: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 4"]:
     """Put the largest component, which is never negative, back in its place (0..3) among the three others.
 
     Where the three are together longer than 1, which only damage and rounding do, the largest becomes 0.

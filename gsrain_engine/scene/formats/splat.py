@@ -38,7 +38,12 @@ def read_splat(path: Path) -> Gaussians:
 
 
 def write_splat(gaussians: Gaussians, path: Path) -> None:
-    """Write a .splat file: without harmonics above degree 0, with colours cut to 0 .. 1, in the same order."""
+    """Write a .splat file: without harmonics above degree 0, with colours cut to 0 .. 1, in the same order.
+
+    Raises `ValueError` without Gaussians: an empty file can't be told from a damaged one.
+    """
+    if not len(gaussians):
+        raise ValueError("a .splat has no header and thus at least one Gaussian; there is none to write")
     rows = np.empty(len(gaussians), _ROW)
     rows["mean"] = gaussians.means
     rows["scale"] = gaussians.scales

@@ -1,0 +1,160 @@
+from concurrent.futures import wait
+
+import msgspec
+import numpy as np
+import pytest
+
+from gsrain_engine.scene.formats import read_scene, write_scene
+from gsrain_engine.session.navigation import Navigation
+from gsrain_engine.session.region_outlines import project_edges, region_outlines
+from gsrain_engine.session.session import Session
+from tests.small_scene import small_scene
+
+
+@pytest.fixture
+def session():
+    opened = Session(small_scene())
+    yield opened
+    opened.close()
+
+
+def settle(session):
+    """Let background work end and take it in."""
+    wait(session.pending_files, timeout=60)
+    session.update(0.0)
+
+
+def test_rain_changes_are_undone_and_the_rainfall_follows(session):
+    session.change_rain("Intensity", "drag", intensity_mm_h=4.0)
+    session.change_rain("Intensity", "drag", intensity_mm_h=5.0)
+    session.end_gesture()
+    assert session.rainfall.state.intensity_mm_h == 5
+    session.undo()
+    assert session.rain.intensity_mm_h == 0
+    assert session.rainfall.state.drops == 0
+    session.redo()
+    assert session.rainfall.state.intensity_mm_h == 5
+
+
+def test_moving_the_slider_moves_no_drop(session):
+    session.change_rain("Intensity", intensity_mm_h=4.0)
+    session.update(10.0)
+    before = session.rainfall.motion.displacement(session.clock.time_s)
+    session.change_rain("Intensity", intensity_mm_h=4.5)
+    assert np.allclose(session.rainfall.motion.displacement(session.clock.time_s), before)
+
+
+def test_time_goes_on_in_real_seconds_while_it_plays(session):
+    session.update(0.5)
+    session.clock.toggle()
+    session.update(0.5)
+    assert session.clock.time_s == 0.5
+    session.clock.toggle()
+    session.clock.speed = 2.0
+    session.update(0.25)
+    assert session.clock.time_s == 1.0
+
+
+def test_open_and_save(session, tmp_path):
+    write_scene(small_scene("other"), tmp_path / "other")
+    session.open(str(tmp_path / "other"))
+    assert session.busy == f"Opening {tmp_path / 'other'}"
+    settle(session)
+    assert session.scene.name == "other"
+    assert session.history.undo_label is None
+    session.change_rain("Intensity", intensity_mm_h=7.0)
+    session.save(tmp_path / "saved")
+    settle(session)
+    saved = read_scene(tmp_path / "saved")
+    assert saved.rain["intensity_mm_h"] == 7.0
+    session.open(str(tmp_path / "saved"))
+    settle(session)
+    assert session.rain.intensity_mm_h == 7.0
+
+
+@pytest.mark.parametrize("content", [None, b"not a scene"])
+def test_what_cannot_be_opened_is_told_and_nothing_is_lost(session, tmp_path, content):
+    path = tmp_path / "bad.ply"
+    if content is not None:
+        path.write_bytes(content)
+    before = session.scene
+    session.open(str(path))
+    settle(session)
+    assert session.scene is before
+    assert "bad.ply" in session.log.lines[-1].text
+
+
+def test_a_scene_with_unusable_rain_opens_all_the_same(session, tmp_path):
+    from dataclasses import replace
+
+    write_scene(replace(small_scene(), rain={"intensity_mm_h": 1000.0}), tmp_path / "wild")
+    session.open(str(tmp_path / "wild"))
+    settle(session)
+    assert session.scene.name == "small"
+    assert session.rain.intensity_mm_h == 0
+    assert any("rain can't be used" in line.text for line in session.log.lines)
+
+
+def test_riding_along_follows_the_ego(session):
+    session.view.follow_path = True
+    session.update(2.0)
+    shot = session.shot(96, 64)
+    assert shot.camera.position == pytest.approx([4.0, 0, 1.5])
+    assert shot.velocity_m_s == pytest.approx([2.0, 0, 0])
+
+
+def test_screenshots_never_overwrite(session, tmp_path):
+    session.take_screenshot(tmp_path)
+    first = session.screenshot
+    first.write_text("taken")
+    session.take_screenshot(tmp_path)
+    assert session.screenshot != first
+
+
+def test_rain_saved_with_a_scene_is_plain_values(session):
+    assert msgspec.json.decode(msgspec.json.encode(msgspec.to_builtins(session.rain)))["intensity_mm_h"] == 0
+
+
+def test_orbit_keeps_its_target_and_its_distance():
+    eye = Navigation()
+    target = eye.target.copy()
+    eye.orbit(0.3, 0.2)
+    assert eye.target == pytest.approx(target)
+    assert np.linalg.norm(eye.position - target) == pytest.approx(eye.distance_m)
+    eye.orbit(0.0, 10.0)
+    assert abs(eye.pitch) < np.pi / 2
+
+
+def test_frame_shows_the_whole_box():
+    eye = Navigation()
+    low, high = np.array([-3.0, 1, 0]), np.array([5.0, 9, 4])
+    eye.frame(low, high)
+    camera = eye.camera(600, 400)
+    corners = np.array([[x, y, z] for x in (-3, 5) for y in (1, 9) for z in (0, 4)], float)
+    seen = corners @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    pixels = seen[:, :2] / seen[:, 2:] * camera.fy + [camera.cx, camera.cy]
+    assert (seen[:, 2] > 0).all()
+    assert (pixels >= 0).all() and (pixels <= [600, 400]).all()
+
+
+def test_flying_moves_along_the_sight_and_stops():
+    eye = Navigation(heading=np.pi / 2, speed_m_s=4.0)
+    start = eye.position.copy()
+    eye.fly(1.0, 0.0, 0.0, 0.5)
+    assert eye.position - start == pytest.approx([0, 2, 0], abs=1e-12)
+    assert eye.velocity_m_s == pytest.approx([0, 4, 0], abs=1e-12)
+    eye.stop()
+    assert np.all(eye.velocity_m_s == 0)
+
+
+def test_region_edges_are_cut_at_the_camera(session):
+    session.view.show_streak_region = session.view.show_haze_region = True
+    outlines = region_outlines(session, 300, 200)
+    assert [outline.name for outline in outlines] == ["streak region", "haze region"]
+    for outline in outlines:
+        assert np.isfinite(outline.lines_px).all()
+        assert 0 < len(outline.lines_px) <= 12
+    anchor = np.eye(4)
+    anchor[0, 3] = 20.0  # all in front
+    lines = project_edges(session.rain.streak_region, anchor, session.shot(300, 200).camera)
+    assert len(lines) == 12

@@ -1,0 +1,252 @@
+"""The real window under Xvfb, driven as a person drives it."""
+
+import os
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.session.session import Session
+from tests.small_scene import small_scene
+
+if not (os.environ.get("DISPLAY") or shutil.which("Xvfb")):
+    pytest.skip("no display and no Xvfb (Debian: xvfb)", allow_module_level=True)
+
+testing = pytest.importorskip("imgui_bundle.immapp.testing")
+imgui = pytest.importorskip("imgui_bundle").imgui
+
+from app.window import Window  # noqa: E402
+
+
+class Driver:
+    """A window, and what a hand on mouse and keyboard can do."""
+
+    def __init__(self, tmp_path, scene=None):
+        self.session = Session(scene or small_scene())
+        self.session.clock.playing = False
+        self.window = Window(self.session)
+        self.folder = tmp_path
+        self.ctx = None
+
+    def run(self, script):
+        parameters = self.window.parameters()
+        parameters.ini_disable = True
+        parameters.app_window_params.window_geometry.size = (1100, 720)
+
+        def act(ctx):
+            self.ctx = ctx
+            self.until(lambda: self.window.view is not None and self.window.view.is_settled, 100_000)
+            self.frames(3)
+            script()
+
+        testing.run(test_function=act, runner_params=parameters)
+
+    def frames(self, count=2):
+        for _ in range(count):
+            self.ctx.yield_()
+
+    def until(self, condition, most=4000):
+        for _ in range(most):
+            if condition():
+                return
+            self.ctx.yield_()
+        raise AssertionError("waited in vain")
+
+    def click(self, item):
+        self.ctx.window_focus("//" + item.split("/")[2])  # bring its tab to the front
+        self.frames()
+        self.ctx.item_click(item)
+        self.frames()
+
+    def drag(self, item, pixels):
+        self.ctx.item_drag_with_delta(item, pixels)
+        self.frames()
+
+    def press(self, chord):
+        self.ctx.key_press(chord)
+        self.frames()
+
+    def picture(self):
+        """What the viewport shows, by way of the screenshot a person would take."""
+        path = self.folder / f"picture{len(list(self.folder.iterdir()))}.png"
+        self.session.screenshot = path
+        self.until(path.exists)
+        return np.asarray(Image.open(path)).astype(int)
+
+
+@pytest.fixture
+def driver(tmp_path):
+    return Driver(tmp_path)
+
+
+def test_dragging_the_intensity_makes_it_rain_and_is_one_step(driver):
+    def script():
+        clear = driver.picture()
+        driver.drag("//Rain/##intensity_mm_h", (60, 0))
+        assert driver.session.rain.intensity_mm_h > 1
+        assert driver.session.statistics["drops drawn"] > 0
+        assert np.abs(driver.picture() - clear).max() > 4
+        driver.press(imgui.Key.mod_ctrl | imgui.Key.z)
+        assert driver.session.rain.intensity_mm_h == 0
+        assert np.array_equal(driver.picture(), clear)
+        driver.press(imgui.Key.mod_ctrl | imgui.Key.y)
+        assert driver.session.rain.intensity_mm_h > 1
+
+    driver.run(script)
+
+
+def test_presets_and_switches(driver):
+    def script():
+        driver.click("//Rain/8.5")
+        assert driver.session.rain.intensity_mm_h == 8.5
+        driver.click("//Rain/Haze")
+        assert not driver.session.rain.haze
+        driver.click("//Rain/camera's")
+        assert driver.session.rain.exposure_s == 0.004
+        driver.click("//Rain/up to 100 mm\\/h")
+        driver.ctx.item_input_value("//Rain/##intensity_mm_h", 50.0)
+        driver.frames()
+        assert driver.session.rain.intensity_mm_h == 50
+        assert driver.session.rainfall.state.beyond_calibration
+        driver.click("//Rain/paper")
+        assert driver.session.rain.closure == "published"
+        assert driver.session.rainfall.state.drops == 257_040
+
+    driver.run(script)
+
+
+def test_regions_are_edited_and_drawn(driver):
+    def script():
+        driver.click("//Rain/12.0")
+        before = driver.session.rainfall.state.drops
+        driver.click("//Rain/Regions")
+        driver.click("//Rain/Show streak region")
+        driver.click("//Rain/Show haze region")
+        driver.ctx.item_input_value("//Rain/##streak_region.maximum_m/$$0", 8.0)
+        driver.frames()
+        assert driver.session.rain.streak_region.maximum_m[0] == 8.0
+        assert driver.session.rainfall.state.drops == pytest.approx(1.5 * before, rel=1e-3)
+        # inside out is not taken
+        driver.ctx.item_input_value("//Rain/##streak_region.maximum_m/$$0", -5.0)
+        driver.frames()
+        assert driver.session.rain.streak_region.maximum_m[0] == 8.0
+        testing.capture(driver.ctx, str(driver.folder / "regions.png"), window="View")
+
+    driver.run(script)
+    shown = np.asarray(Image.open(driver.folder / "regions.png"))[..., :3].astype(int)
+    light_blue = (shown[..., 2] > 200) & (shown[..., 0] < 160) & (shown[..., 1] > 170)
+    orange = (shown[..., 0] > 200) & (shown[..., 1] > 150) & (shown[..., 2] < 160)
+    assert light_blue.sum() > 50
+    assert orange.sum() > 50
+
+
+def test_job_is_cancelled_run_again_and_undone(driver):
+    def script():
+        session = driver.session
+        clear_scene, clear = session.scene, driver.picture()
+        driver.click("//Jobs/Make it rainy (preview)")
+        driver.until(lambda: session.job.progress.fraction > 0)
+        driver.click("//Jobs/Cancel")
+        assert session.job.state == "cancelled"
+        assert session.scene is clear_scene
+        driver.click("//Jobs/Make it rainy (preview)")
+        driver.until(lambda: session.scene is not clear_scene, 100_000)
+        assert session.job.state == "finished"
+        rainy = driver.picture()
+        assert np.abs(rainy - clear).mean() > 3
+        driver.press(imgui.Key.mod_ctrl | imgui.Key.z)
+        assert session.scene is clear_scene
+        assert np.array_equal(driver.picture(), clear)
+
+    driver.run(script)
+
+
+def test_time_plays_pauses_and_rain_falls_in_real_seconds(driver):
+    def script():
+        driver.click("//Rain/8.5")
+        still = driver.picture()
+        assert np.array_equal(driver.picture(), still)
+        driver.click("//View/Play")
+        driver.until(lambda: driver.session.clock.time_s > 0.05)
+        driver.click("//View/Pause")
+        assert not driver.session.clock.playing
+        assert not np.array_equal(driver.picture(), still)
+
+    driver.run(script)
+
+
+def test_navigation_by_mouse_and_keys(driver):
+    def script():
+        session = driver.session
+        start = session.navigation.position.copy()
+        driver.drag("//View/view", (80, 0))
+        assert np.linalg.norm(session.navigation.position - start) > 0.5
+        driver.click("//View/Home")
+        assert session.navigation.position == pytest.approx(start)
+        driver.ctx.mouse_move("//View/view")
+        driver.ctx.key_down(imgui.Key.w)
+        driver.until(lambda: session.navigation.position[0] > start[0] + 0.1)
+        assert session.navigation.velocity_m_s[0] > 1
+        driver.ctx.key_up(imgui.Key.w)
+        driver.frames()
+        assert np.all(session.navigation.velocity_m_s == 0)
+        driver.press(imgui.Key.f)
+        assert session.navigation.distance_m > 20
+        driver.press(imgui.Key.r)
+        assert session.navigation.position == pytest.approx(start)
+        driver.ctx.mouse_wheel_y(2)
+        driver.frames()
+        assert session.navigation.distance_m < 20
+        driver.click("//View/Ride along")
+        assert session.view.follow_path
+
+    driver.run(script)
+
+
+def test_scene_panel_hides_and_undo_shows_again(driver):
+    def script():
+        before = driver.picture()
+        driver.click("//Scene/members/wall##background")
+        assert not driver.session.scene.layers[1].visible
+        assert np.abs(driver.picture() - before).max() > 20
+        driver.press(imgui.Key.mod_ctrl | imgui.Key.z)
+        assert driver.session.scene.layers[1].visible
+
+    driver.run(script)
+
+
+def test_files_open_by_drop_and_bad_ones_are_told(driver, tmp_path):
+    good, bad = tmp_path / "wall.ply", tmp_path / "bad.ply"
+    write_scene(small_scene(), good)
+    bad.write_bytes(b"ply\nformat ascii 1.0\nend_header\n")
+
+    def script():
+        first = driver.session.scene
+        driver.window.drop([str(bad)])
+        driver.until(lambda: driver.session.busy is None)
+        assert driver.session.scene is first
+        assert any("bad.ply" in line.text for line in driver.session.log.lines)
+        driver.window.drop([str(good)])
+        driver.until(lambda: driver.session.busy is None)
+        assert driver.session.scene.name == "wall"
+        driver.ctx.window_focus("//Log")
+        driver.frames(3)
+
+    driver.run(script)
+    assert driver.session.backend in ("opengl", "cpu")
+
+
+def test_screenshot_key_saves_a_picture(driver, tmp_path, monkeypatch):
+    import platformdirs
+
+    monkeypatch.setattr(platformdirs, "user_pictures_dir", lambda: str(tmp_path / "pictures"))
+
+    def script():
+        driver.press(imgui.Key.f12)
+        driver.until(lambda: list((tmp_path / "pictures").glob("gsrain_*.png")))
+
+    driver.run(script)
+    (saved,) = (tmp_path / "pictures").glob("gsrain_*.png")
+    assert np.asarray(Image.open(saved)).mean() > 20
