@@ -21,6 +21,7 @@ test: setup lint
 
 lint: setup
 	$(RUN)/ruff check .
+	$(RUN)/ruff format --check .
 	$(RUN)/lint-imports
 	$(RUN)/pyright --pythonpath $(RUN)/python
 

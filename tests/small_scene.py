@@ -17,9 +17,12 @@ def patch(origin, u, v, steps, color):
     n = len(means)
     size = np.maximum(0.7 * (np.abs(u) + np.abs(v)) / steps, 0.02)
     return Gaussians(
-        means.astype(f), np.tile(size.astype(f), (n, 1)), np.tile(np.array([1, 0, 0, 0], f), (n, 1)), np.full(n, 0.95, f),
+        means.astype(f),
+        np.tile(size.astype(f), (n, 1)),
+        np.tile(np.array([1, 0, 0, 0], f), (n, 1)),
+        np.full(n, 0.95, f),
         sh_from_color(np.tile(np.array(color, f), (n, 1))),
-    )  # fmt: skip
+    )
 
 
 def small_scene(name="small"):

@@ -72,7 +72,7 @@ def integer(session: Session, name: str) -> None:
     label(name)
     changed, value = imgui.input_int(f"##{name}", getattr(session.rain, name))
     if changed:
-        session.change_rain(info.title, name, **{name: int(min(max(value, info.low), min(info.high, 2**31 - 1)))})
+        session.change_rain(info.title, name, **{name: int(min(max(value, info.low), info.high, 2**31 - 1))})
     end_gesture_when_released(session)
 
 

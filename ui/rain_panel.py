@@ -52,7 +52,7 @@ def _presets(session: Session) -> None:
         if active:
             imgui.pop_style_color()
         unit = "no rain" if preset.intensity_mm_h == 0 else f"{preset.intensity_mm_h:g} mm/h"
-        imgui.set_item_tooltip(f"{unit}{', the paper’s own settings' if name == 'paper' else ''}")
+        imgui.set_item_tooltip(f"{unit}, all as in the paper" if name == "paper" else unit)
         if name != names[-1]:
             imgui.same_line()
 
