@@ -38,11 +38,10 @@ class Track:
         """Object to scene at a time, or None while the object is not there."""
         if not len(self.times):
             return None
-        upper = int(np.clip(np.searchsorted(self.times, time_s, side="right"), 1, max(len(self.times) - 1, 1)))
-        lower = upper - 1
+        lower = max(int(np.searchsorted(self.times, time_s, side="right")) - 1, 0)
+        upper = min(lower + 1, len(self.times) - 1)
         if not self.valid[lower]:
             return None
-        upper = min(upper, len(self.times) - 1)
         span = self.times[upper] - self.times[lower]
         part = float(np.clip((time_s - self.times[lower]) / span, 0, 1)) if span > 0 else 0.0
         matrix = np.eye(4)

@@ -34,6 +34,13 @@ def test_half_of_the_opacity() -> None:
     np.testing.assert_allclose([low, high], [[25, -75, 50], [75, -25, 150]], atol=2)
 
 
+def test_of_millions_an_even_share_is_looked_at() -> None:
+    line = np.arange(2_500_000, dtype=np.float32)[:, None] * np.array([1, -2, 0], np.float32)
+    everything = gaussians_at(line, np.ones(len(line)))
+    np.testing.assert_allclose(robust_bounds(everything), [[25e3, -4.95e6, 0], [2.475e6, -5e4, 0]], atol=20)
+    np.testing.assert_allclose(bounds(everything), [line.min(axis=0), line.max(axis=0)])
+
+
 def test_transparent_and_missing_gaussians_have_bounds_too() -> None:
     low, high = robust_bounds(gaussians_at(np.array([[1.0, 2, 3], [3, 4, 5]]), np.zeros(2)))
     np.testing.assert_array_equal([low, high], [[1, 2, 3], [3, 4, 5]])

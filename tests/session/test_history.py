@@ -1,6 +1,6 @@
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.session.history import Document, History
-from tests.small_scene import small_scene
+from small_scene import small_scene
 
 SCENE = small_scene()
 

@@ -8,7 +8,7 @@ from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.session.navigation import Navigation
 from gsrain_engine.session.region_outlines import project_edges, region_outlines
 from gsrain_engine.session.session import Session
-from tests.small_scene import small_scene
+from small_scene import small_scene
 
 
 @pytest.fixture

@@ -9,13 +9,14 @@ from PIL import Image
 
 from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.session.session import Session
-from tests.small_scene import small_scene
+from small_scene import small_scene
 
 if not (os.environ.get("DISPLAY") or shutil.which("Xvfb")):
     pytest.skip("no display and no Xvfb (Debian: xvfb)", allow_module_level=True)
 
 testing = pytest.importorskip("imgui_bundle.immapp.testing")
 imgui = pytest.importorskip("imgui_bundle").imgui
+hello_imgui = pytest.importorskip("imgui_bundle").hello_imgui
 
 from app.window import Window  # noqa: E402
 
@@ -37,6 +38,8 @@ class Driver:
 
         def act(ctx):
             self.ctx = ctx
+            engine = imgui.test_engine.get_io(hello_imgui.get_imgui_test_engine())
+            engine.config_watchdog_kill_test = engine.config_watchdog_warning = 600.0  # s; the machine may be busy
             self.until(lambda: self.window.view is not None and self.window.view.is_settled, 100_000)
             self.frames(3)
             script()

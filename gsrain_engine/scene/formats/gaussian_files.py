@@ -52,7 +52,7 @@ def read_gaussians(path: Path) -> Gaussians:
     """
     row = format_of(path)
     if row is None:
-        raise SceneFormatError(path, f"no known scene format: the name must end in {_suffixes(path, FORMATS)}")
+        raise SceneFormatError(path, f"no known scene format: the name must end in {_suffixes(FORMATS)}{_slip(path)}")
     if path.exists() and not path.is_file():
         raise SceneFormatError(path, "not a file")
     return row.read(path)
@@ -68,8 +68,9 @@ def write_gaussians(gaussians: Gaussians, path: Path) -> None:
     """
     row = format_of(path)
     if row is None or row.write is None:
-        writable = [each for each in FORMATS if each.write is not None]
-        raise SceneFormatError(path, f"can't be written: the name must end in {_suffixes(path, writable)}")
+        writable = _suffixes([each for each in FORMATS if each.write is not None])
+        reason = "can't be written" if row is None else f"{row.suffix} is read but not written"
+        raise SceneFormatError(path, f"{reason}: the name must end in {writable}{_slip(path)}")
     if path.is_dir():
         raise SceneFormatError(path, "can't be written: a folder of that name is in the way")
     check_writable(path, gaussians)
@@ -101,6 +102,11 @@ def close_match(name: str, known: Sequence[str]) -> str:
     return f" (did you mean {close[0]}?)" if close else ""
 
 
-def _suffixes(path: Path, rows: Sequence[Format]) -> str:
+def _slip(path: Path) -> str:
+    """Ask for the suffix that a name which belongs to no format may have been meant to end in."""
+    return close_match(path.suffix, [row.suffix for row in FORMATS]) if format_of(path) is None else ""
+
+
+def _suffixes(rows: Sequence[Format]) -> str:
     *first, last = (row.suffix for row in rows)
-    return f"{', '.join(first)} or {last}{close_match(path.suffix, [*first, last])}"
+    return f"{', '.join(first)} or {last}"

@@ -27,8 +27,9 @@ def read_scene(path: Path | str) -> Scene:
     path = Path(path)
     try:
         return _read(path)
-    except FileNotFoundError:
-        raise SceneFormatError(path, f"there is no such file or folder{_neighbour(path)}") from None
+    except FileNotFoundError as error:
+        missing = Path(error.filename or path)
+        raise SceneFormatError(missing, f"there is no such file or folder{_neighbour(missing)}") from None
     except OSError as error:
         raise SceneFormatError(error.filename or path, f"can't be read: {error.strerror or error}") from None
 

@@ -66,7 +66,7 @@ def _check_writable(scene: Scene, folder: Path) -> None:
     """Refuse a scene that could not be read again, before it takes the place of one that can."""
     members = _members(scene)
     for kind, name, gaussians in members:
-        check_writable(folder, gaussians, f" in {kind} {name!r}")
+        check_writable(folder, gaussians, f" of {kind[:-1]} {name!r}")
     record = record_of(scene, [""] * len(members))
     path = folder / SCENE_FILE
     for place in places_not_finite(msgspec.to_builtins(record)):

@@ -116,6 +116,7 @@ def record_of(scene: Scene, files: list[str]) -> SceneRecord:
     )
 
 
+@np.errstate(over="ignore", invalid="ignore")  # numbers too large to be squared are named, like other wrong ones
 def scene_of(record: SceneRecord, gaussians: list[Gaussians]) -> Scene:
     """Scene of a record and the Gaussians of its files, in the order of `record.files`.
 
@@ -206,7 +207,8 @@ def _camera_record(camera: RigCamera) -> CameraRecord:
 def _camera(record: CameraRecord, rig: str) -> RigCamera:
     matrix = np.array(record.camera_to_ego, np.float64)
     rotation = matrix[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
+    is_rotation = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
+    if not is_rotation or not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-6):
         raise ValueError(f"camera_to_ego of camera {record.name!r} must be a rotation and a place - at `$.rigs.{rig}`")
     return RigCamera(
         record.name,

@@ -1,7 +1,9 @@
 """Any file or folder in, any out: names choose the format, and a failure leaves what was there."""
 
+import io
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -85,7 +87,10 @@ def test_the_suffix_may_be_in_capitals(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["a.obj", "a.compressed.ply", "a.ksplat", "a.sog"])
 def test_formats_that_are_not_written_are_named(name: str, tmp_path: Path) -> None:
-    with pytest.raises(SceneFormatError, match=r"name must end in \.ply, \.splat or \.spz$"):
+    with pytest.raises(
+        SceneFormatError,
+        match=r"a(\.obj: can't be|.* is read but not) written: the name must end in \.ply, \.splat or \.spz$",
+    ):
         write_scene(single(sample_gaussians(3)), tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
@@ -96,9 +101,73 @@ def test_unknown_files_are_refused_with_what_is_known(tmp_path: Path) -> None:
         read_scene(tmp_path / "a.obj")
 
 
+def test_slips_of_the_hand_are_pointed_out(tmp_path: Path) -> None:
+    (tmp_path / "street.ply").write_bytes(b"")
+    (tmp_path / "street.pyl").write_bytes(b"")
+    with pytest.raises(SceneFormatError, match=r"no such file or folder \(did you mean street\.ply\?\)$"):
+        read_scene(tmp_path / "Stret.ply")
+    with pytest.raises(SceneFormatError, match=r"or meta\.json \(did you mean \.ply\?\)$"):
+        read_scene(tmp_path / "street.pyl")
+    with pytest.raises(SceneFormatError, match=r"a\.spalt: can't be written: .* or \.spz \(did you mean \.splat\?\)$"):
+        write_scene(single(sample_gaussians(3)), tmp_path / "a.spalt")
+
+
+@pytest.mark.parametrize("file", ["a.ply", "a.splat", "a.spz", "a.ksplat", "a.sog", "saved"])
+def test_what_the_system_refuses_to_open_is_one_line(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_scene(single(sample_gaussians(3)), tmp_path / "saved")
+    if file != "saved":
+        (tmp_path / file).write_bytes(bytes(64))
+    real = io.open
+
+    def locked(path: object, *arguments: Any, **options: Any) -> Any:
+        if Path(str(path)).is_relative_to(tmp_path):  # permissions do not stop root, under whom tests may run
+            raise PermissionError(13, "Permission denied", str(path))
+        return real(path, *arguments, **options)  # pyright: ignore[reportArgumentType]
+
+    monkeypatch.setattr(io, "open", locked)
+    monkeypatch.setattr("builtins.open", locked)
+    with pytest.raises(SceneFormatError, match="can't be read: Permission denied$") as error:
+        read_scene(tmp_path / file)
+    assert str(error.value).startswith(str(tmp_path / file))
+
+
+def test_a_name_that_is_no_unicode_can_be_saved(tmp_path: Path) -> None:
+    path = tmp_path / "r\udcfcck.ply"
+    try:
+        write_scene(single(sample_gaussians(3)), path)
+    except (OSError, UnicodeError):
+        pytest.skip("this file system takes Unicode names only")
+    write_scene(read_scene(path), tmp_path / "saved")
+    assert read_scene(tmp_path / "saved").layers[0].name == "r?ck"
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz"])
+def test_values_that_could_not_be_read_again_replace_nothing(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a{suffix}"
+    write_scene(single(sample_gaussians(3)), path)
+    before = path.read_bytes()
+    some = sample_gaussians(3)
+    bad = Gaussians(some.means, some.scales * np.float32(np.inf), some.quaternions, some.opacities, some.sh)
+    with pytest.raises(
+        SceneFormatError, match=f"a\\{suffix}: 3 of 3 Gaussians have a scale that is not a finite number"
+    ):
+        write_scene(single(bad), path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_splat_of_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SceneFormatError, match="at least one Gaussian; there is none to write"):
+        write_scene(Scene("a"), tmp_path / "a.splat")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
-        read_scene(tmp_path / "none.ply")
+    for name in ("none.ply", "none", "none.obj", "none/scene.json"):
+        with pytest.raises(SceneFormatError, match=f"{name}: there is no such file or folder$"):
+            read_scene(tmp_path / name)
     os.mkfifo(tmp_path / "pipe.ply")
     with pytest.raises(SceneFormatError, match="not a file"):
         read_scene(tmp_path / "pipe.ply")

@@ -13,6 +13,7 @@ import pytest
 
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats import read_scene, scene_folder, write_scene
+from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import Actor, Layer, RigCamera, Scene, Track
 
 from .sample_gaussians import assert_equal, sample_gaussians
@@ -42,6 +43,13 @@ def sample_scene() -> Scene:
         ego=track(3),
         rain={"intensity_mm_h": 8.5, "wind": [1.0, 0.5], "haze": {"count": None}},
     )
+
+
+def with_nan_in_mean(index: int) -> Gaussians:
+    some = sample_gaussians(4)
+    means = some.means.copy()
+    means[index, 2] = np.nan
+    return Gaussians(means, some.scales, some.quaternions, some.opacities, some.sh)
 
 
 @pytest.fixture
@@ -163,6 +171,39 @@ def test_a_failure_while_writing_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+NAN = float("nan")
+UNREADABLE: dict[str, tuple[dict[str, Any], str]] = {
+    "scale": (
+        {"metres_per_unit": 0.0},
+        "scene.json: can't be written: Expected `float` > 0.0 - at `$.metres_per_unit`",
+    ),
+    "up": ({"up": (0.0, 0.0, 0.0)}, "scene.json: can't be written: `$.up` must be a direction"),
+    "ground": ({"ground_m": NAN}, "expected a finite number - at `$.ground_m`"),
+    "rain": ({"rain": {"a": [0.5, {"b": -np.inf}]}}, "expected a finite number - at `$.rain.a[1].b`"),
+    "track": ({"ego": replace(track(3), times=np.array([0.0, 2, 1]))}, "times must rise - at `$.ego`"),
+    "track position": (
+        {"ego": replace(track(3), positions=np.full((3, 3), NAN))},
+        "expected a finite number - at `$.ego.positions[0][0]`",
+    ),
+    "name": ({"name": "\ud800"}, "scene.json: can't be written: 'utf-8' codec"),
+    "values": (
+        {"layers": (Layer("a", sample_gaussians(2)), Layer("b", with_nan_in_mean(1)))},
+        "1 of 4 Gaussians have a mean of layer 'b' that is not a finite number, the first is number 1",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", UNREADABLE)
+def test_a_scene_that_could_not_be_read_again_replaces_nothing(name: str, folder: Path) -> None:
+    changes, message = UNREADABLE[name]
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    for place in (folder, folder.parent / "new"):
+        with pytest.raises(SceneFormatError, match=re.escape(message)) as error:
+            write_scene(replace(sample_scene(), **changes), place)
+        assert str(error.value).startswith(str(place)) and "\n" not in str(error.value)
+    assert {path: path.read_bytes() for path in folder.parent.rglob("*") if path.is_file()} == before
+
+
 def test_an_empty_folder_is_filled(tmp_path: Path) -> None:
     (tmp_path / "e").mkdir()
     write_scene(sample_scene(), tmp_path / "e")
@@ -219,9 +260,23 @@ BAD_VALUES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "in a layer": (lambda v: v["layers"][1].update(kind="ocean"), "Invalid enum value 'ocean' - at `$.layers[1].kind`"),
     "in a track": (lambda v: v["actors"][0]["track"]["times"].pop(), "equally long - at `$.actors[0].track`"),
     "falling times": (lambda v: v["ego"].update(times=[2, 1, 0]), "times must rise - at `$.ego`"),
+    "time that stands still": (lambda v: v["ego"].update(times=[0, 1, 1]), "times must rise - at `$.ego`"),
     "zero quaternion": (
         lambda v: v["ego"].update(quaternions_wxyz=[[0, 0, 0, 0]] * 3),
-        "must be above 0 long - at `$.ego`",
+        "quaternion 0 must be above 0 long and finite, not 0 - at `$.ego`",
+    ),
+    "endless quaternion": (
+        lambda v: v["actors"][0]["track"]["quaternions_wxyz"].__setitem__(2, [1e200, 0, 0, 0]),
+        "quaternion 2 must be above 0 long and finite, not inf - at `$.actors[0].track`",
+    ),
+    "endless direction": (lambda v: v.update(up=[1e200, 0, 0]), "`$.up` must be a direction, not [1e+200, 0.0, 0.0]"),
+    "endless camera pose": (
+        lambda v: v["rigs"]["waymo"][1]["camera_to_ego"].__setitem__(0, [1e200, -1e200, 1e200, 0]),
+        "camera_to_ego of camera 'LEFT' must be a rotation",
+    ),
+    "last row of a camera pose": (
+        lambda v: v["rigs"]["waymo"][1]["camera_to_ego"].__setitem__(3, [0, 0, 0, 2]),
+        "camera_to_ego of camera 'LEFT' must be a rotation",
     ),
     "no direction": (lambda v: v.update(up=[0, 0, 0]), "`$.up` must be a direction, not [0.0, 0.0, 0.0]"),
     "camera size": (lambda v: v["rigs"]["waymo"][0].update(width=0), "Expected `int` >= 1 - at `$.rigs[...][0].width`"),
