@@ -67,12 +67,13 @@ class Session:
         self.navigation = Navigation()
         self.view = ViewOptions()
         self.log = LogLines()
+        logger.setLevel(logging.INFO)
         logger.addHandler(self.log)
         self.job: RainyLookJob | None = None
         self.staged: StagedScene | None = None
         self.sky: Color = OVERCAST
         self.sky_is_stale = True
-        """Whether the live view should look at the sky again."""
+        """Whether the live view should look at the sky again: it is another scene's."""
         self.backend = ""
         """What draws the viewport."""
         self.statistics: dict[str, float] = {}
@@ -85,6 +86,7 @@ class Session:
         self._saving: tuple[Path, Future[None]] | None = None
         self.history = History.beginning_with(Document(scene, rain or load_preset("clear")))
         self.rainfall = Rainfall.start(self.rain)
+        self._scene_of_sky = scene
         self._enter_scene()
 
     # The document
@@ -184,7 +186,6 @@ class Session:
         if self.staged is not None:
             staged, self.staged = self.staged, None
             self.set_scene(staged.label, staged.scene)
-            self.sky_is_stale = True
             logger.info("%s: done", staged.label)
 
     # Time and view
@@ -241,6 +242,8 @@ class Session:
         logger.removeHandler(self.log)
 
     def _follow_document(self) -> None:
+        if self.scene is not self._scene_of_sky:
+            self._scene_of_sky, self.sky_is_stale = self.scene, True
         if self.rainfall.rain != self.rain:
             self.rainfall = self.rainfall.changed(self.rain, self.clock.time_s)
 

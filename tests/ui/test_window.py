@@ -148,7 +148,7 @@ def test_regions_are_edited_and_drawn(driver):
 def test_job_is_cancelled_run_again_and_undone(driver):
     def script():
         session = driver.session
-        clear_scene, clear = session.scene, driver.picture()
+        clear_scene, clear, blue_sky = session.scene, driver.picture(), session.sky
         driver.click("//Jobs/Make it rainy (preview)")
         driver.until(lambda: session.job.progress.fraction > 0)
         driver.click("//Jobs/Cancel")
@@ -159,9 +159,11 @@ def test_job_is_cancelled_run_again_and_undone(driver):
         assert session.job.state == "finished"
         rainy = driver.picture()
         assert np.abs(rainy - clear).mean() > 3
+        assert session.sky != blue_sky
         driver.press(imgui.Key.mod_ctrl | imgui.Key.z)
         assert session.scene is clear_scene
         assert np.array_equal(driver.picture(), clear)
+        assert session.sky == blue_sky
 
     driver.run(script)
 
