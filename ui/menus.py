@@ -7,8 +7,8 @@ from imgui_bundle import im_file_dialog, imgui
 from gsrain_engine.session.session import Session
 
 _OPEN, _SAVE = "open scene", "save scene"
-_SCENES = "Scenes (*.ply;*.splat;*.spz;*.ksplat;*.sog;*.json){.ply,.splat,.spz,.ksplat,.sog,.json},.*"
-_SAVED = "Scene files (*.ply;*.splat;*.spz){.ply,.splat,.spz},.*"
+_SCENES = "Scenes{.ply,.splat,.spz,.ksplat,.sog,.json},All files{.*}"
+_SAVED = "Scene files{.ply,.splat,.spz},Scene folders{.*}"
 
 
 class Menus:

@@ -243,6 +243,16 @@ def test_files_open_by_drop_and_bad_ones_are_told(driver, tmp_path):
     assert driver.session.backend in ("opengl", "cpu")
 
 
+def test_open_dialog_comes_and_goes(driver):
+    def script():
+        driver.ctx.window_focus("//View")
+        driver.press(imgui.Key.mod_ctrl | imgui.Key.o)
+        driver.click("//Open a scene/Cancel")
+        assert driver.session.busy is None
+
+    driver.run(script)
+
+
 def test_screenshot_key_saves_a_picture(driver, tmp_path, monkeypatch):
     import platformdirs
 
