@@ -112,8 +112,10 @@ def test_wet_look_changes_the_scene(room, tmp_path):
 
 def test_ctrl_c_leaves_a_playable_video(room, tmp_path):
     out = tmp_path / "stopped.mp4"
-    command = [sys.executable, "-m", "app", "render", str(room), "-o", str(out), "--size", "96x64", "--backend", "cpu",
-               "--duration", "600"]  # fmt: skip
+    # A shell without job control starts its background commands deaf to Ctrl-C, and their children with them.
+    listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    command = [sys.executable, "-c", f"{listen}\nfrom app.__main__ import main\nmain()", "render", str(room)]
+    command += ["-o", str(out), "--size", "96x64", "--backend", "cpu", "--duration", "600"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "NO_COLOR": "1"}) as process:
         while process.poll() is None and (not out.exists() or out.stat().st_size < 20_000):
             pass
