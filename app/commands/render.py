@@ -34,6 +34,7 @@ _UP = {
 }  # fmt: skip
 
 
+@Parameter(name="*")  # its fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
 class RainOptions:
     """Rain on the command line."""
@@ -69,12 +70,6 @@ class RainOptions:
         return msgspec.convert(values, Rain)
 
 
-@Parameter(name="*")
-@dataclass(frozen=True, kw_only=True)
-class _Rain(RainOptions):
-    """Rain options without a prefix."""
-
-
 def render(
     scene: Annotated[str | None, Parameter(help="Scene file or folder; without one, the built-in street.")] = None,
     /,
@@ -82,7 +77,7 @@ def render(
     output: Annotated[
         Path, Parameter(name=["--output", "-o"], help="PNG, NPY, MP4, WebM, or a folder for PNG frames.")
     ],
-    rain: _Rain | None = None,
+    rain: RainOptions | None = None,
     camera: Annotated[Path | None, Parameter(help="Camera file (JSON) in the scene's own units and axes.")] = None,
     camera_path: Annotated[
         Path | None, Parameter(help="Camera path: ours, nerfstudio's camera_path.json or 3DGS's cameras.json.")

@@ -6,7 +6,7 @@ import numpy as np
 
 from gsrain_engine.rain.rainfall import OVERCAST, mean_sky
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.scene import Part, Scene
+from gsrain_engine.scene.scene import Scene
 
 from .frame import Color
 from .renderer import Renderer
@@ -39,7 +39,7 @@ def sky_color(renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0
         assert frame.depth is not None
         alpha = frame.rgba[..., 3]
         if sky:
-            others = [part for part in parts if not _any_is(part, sky)]
+            others = [part for part in parts if not any(part.gaussians is each for each in sky)]
             renderer.draw(others, camera)
             mask = (renderer.read().rgba[..., 3] < 0.05) & (alpha > 0.5)
         else:
@@ -67,7 +67,3 @@ def _look_around(place: Camera) -> list[Camera]:
 def _horizon_row(camera: Camera) -> float:
     """Image row of points straight ahead at the camera's own height, less five degrees to stay above it."""
     return float(camera.cy + camera.fy * np.tan(np.radians(15.0)))
-
-
-def _any_is(part: Part, sets: list) -> bool:  # type: ignore[type-arg]
-    return any(part.gaussians is each for each in sets)
