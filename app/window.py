@@ -16,7 +16,7 @@ from gsrain_engine.session.live_view import LiveView
 from gsrain_engine.session.session import Session
 from ui.menus import Menus
 from ui.panels import PANELS
-from ui.shortcuts import handle_shortcuts
+from ui.shortcuts import chord, handle_shortcuts
 from ui.status_bar import status_bar
 from ui.style import apply_style
 from ui.viewport_panel import viewport_panel
@@ -96,9 +96,9 @@ class Window:
 
     def _draw_viewport(self) -> None:
         handle_shortcuts(self.session)
-        if imgui.is_key_chord_pressed(imgui.Key.mod_ctrl | imgui.Key.o):
+        if imgui.is_key_chord_pressed(chord(imgui.Key.mod_ctrl, imgui.Key.o)):
             self._menus.ask_what_to_open()
-        if imgui.is_key_chord_pressed(imgui.Key.mod_ctrl | imgui.Key.s):
+        if imgui.is_key_chord_pressed(chord(imgui.Key.mod_ctrl, imgui.Key.s)):
             self._menus.ask_where_to_save()
         self._menus.answer()
         viewport_panel(self.session, self._texture)

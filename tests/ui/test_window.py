@@ -20,6 +20,7 @@ hello_imgui = pytest.importorskip("imgui_bundle").hello_imgui
 im_file_dialog = pytest.importorskip("imgui_bundle").im_file_dialog
 
 from app.window import Window  # noqa: E402
+from ui.shortcuts import chord  # noqa: E402
 
 
 class Driver:
@@ -92,10 +93,10 @@ def test_dragging_the_intensity_makes_it_rain_and_is_one_step(driver):
         assert driver.session.rain.intensity_mm_h > 1
         assert driver.session.statistics["drops drawn"] > 0
         assert np.abs(driver.picture() - clear).max() > 4
-        driver.press(imgui.Key.mod_ctrl | imgui.Key.z)
+        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
         assert driver.session.rain.intensity_mm_h == 0
         assert np.array_equal(driver.picture(), clear)
-        driver.press(imgui.Key.mod_ctrl | imgui.Key.y)
+        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.y))
         assert driver.session.rain.intensity_mm_h > 1
 
     driver.run(script)
@@ -161,7 +162,7 @@ def test_job_is_cancelled_run_again_and_undone(driver):
         rainy = driver.picture()
         assert np.abs(rainy - clear).mean() > 3
         assert session.sky != blue_sky
-        driver.press(imgui.Key.mod_ctrl | imgui.Key.z)
+        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
         assert session.scene is clear_scene
         assert np.array_equal(driver.picture(), clear)
         assert session.sky == pytest.approx(blue_sky, abs=1e-6)
@@ -217,7 +218,7 @@ def test_scene_panel_hides_and_undo_shows_again(driver):
         driver.click("//Scene/members/wall##background")
         assert not driver.session.scene.layers[1].visible
         assert np.abs(driver.picture() - before).max() > 20
-        driver.press(imgui.Key.mod_ctrl | imgui.Key.z)
+        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
         assert driver.session.scene.layers[1].visible
 
     driver.run(script)
@@ -247,7 +248,7 @@ def test_files_open_by_drop_and_bad_ones_are_told(driver, tmp_path):
 def test_open_dialog_comes_and_goes(driver):
     def script():
         driver.ctx.window_focus("//View")
-        driver.press(imgui.Key.mod_ctrl | imgui.Key.o)
+        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.o))
         driver.frames(3)
         dialogs = im_file_dialog.FileDialog.instance()
         testing.capture(driver.ctx, str(driver.folder / "dialog.png"))
