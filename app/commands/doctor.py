@@ -1,14 +1,13 @@
 """`gsrain doctor`: what this machine has, what is missing, and how to get it."""
 
 import importlib.util
-import os
-import sys
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from .arguments import JsonFile, write_numbers
+from .display import has_display
 
 
 class Finding(NamedTuple):
@@ -89,7 +88,7 @@ def _threads() -> Finding:
 
 
 def _display() -> Finding:
-    if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+    if has_display():
         return Finding("display", True, "the window can open")
     return Finding("display", False, "no DISPLAY: rendering to files works, the window does not")
 

@@ -193,6 +193,13 @@ def test_bad_input_ends_with_one_line_and_code_2(room, tmp_path, capsys, argumen
     assert words in said
 
 
+def test_without_a_display_the_window_says_so(room, monkeypatch, capsys):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert run([str(room)]) == BAD_INPUT
+    assert "no display" in capsys.readouterr().err
+
+
 def test_help_lists_every_command(capsys):
     run(["--help"])
     said = capsys.readouterr().out
