@@ -4,6 +4,13 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# Machines are noisy: no example fails for being slow. Where CI is set every run tries the same examples; elsewhere new ones.
+settings.register_profile(
+    "gsrain", deadline=None, derandomize=bool(os.environ.get("CI")), suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("gsrain")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
