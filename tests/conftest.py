@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-# Machines are noisy: no example fails for being slow. Where CI is set every run tries the same examples; elsewhere new ones.
+# Machines are noisy: no example fails for being slow. Where CI is set every run tries the same examples.
 settings.register_profile(
     "gsrain", deadline=None, derandomize=bool(os.environ.get("CI")), suppress_health_check=[HealthCheck.too_slow]
 )
