@@ -8,23 +8,19 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
+from gsrain_engine.scene.atomic_files import whole_file
 from gsrain_engine.scene.errors import SceneFormatError
 
 _VERSION = 1
 
 
 def write_recolored(path: Path, colors: Mapping[str, Float32[np.ndarray, "_ _ 3"]]) -> None:
-    """Write harmonics by name (`layers/NAME`, `actors/ID`): beside the target first, then renamed over it."""
+    """Write harmonics by name (`layers/NAME`, `actors/ID`), whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(path.name + ".part")
     arrays: dict[str, Any] = {"version": np.array(_VERSION), "names": np.array(list(colors), dtype=np.str_)}
     arrays |= {f"sh_{i}": sh for i, sh in enumerate(colors.values())}
-    try:
-        with beside.open("wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with whole_file(path) as beside, beside.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
 
 
 def read_recolored(path: Path | str) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
+from .atomic_files import whole_file
 from .camera_path import CameraPath
 from .errors import SceneFormatError
 from .rotations import normalized, quaternions_from_matrices
@@ -51,7 +52,9 @@ def write_camera_path(path: Path | str, camera_path: CameraPath) -> None:
             strict=True,
         )
     ]
-    Path(path).write_text(json.dumps({"version": VERSION, "keyframes": keyframes}, indent=1) + "\n", encoding="utf-8")
+    text = json.dumps({"version": VERSION, "keyframes": keyframes}, indent=1) + "\n"
+    with whole_file(Path(path)) as beside:
+        beside.write_text(text, encoding="utf-8")
 
 
 def _reader(values: Any, path: Path | str) -> Callable[[Any], CameraPath]:

@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from ..atomic_files import whole_file
 from ..errors import SceneFormatError
 from ..gaussians import Gaussians
-from .atomic import whole_file
 from .checks import check_finite
 from .ksplat import read_ksplat
 from .ply import read_ply, write_ply

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import msgspec
 
+from ..atomic_files import sync, whole_file, whole_folder
 from ..errors import SceneFormatError
 from ..gaussians import Gaussians
 from ..scene import Scene
-from .atomic import sync, whole_file, whole_folder
 from .gaussian_files import check_writable, read_gaussians
 from .ply import write_ply
 from .scene_record import SCENE_VERSION, SceneRecord, places_not_finite, record_of, scene_of
