@@ -10,7 +10,7 @@ from .context import NoOpenGLError, is_software, open_context
 from .renderer import Renderer
 from .splat_renderer import SplatRenderer
 
-Backend = Literal["auto", "opengl", "cpu"]
+Backend = Literal["auto", "opengl", "cpu", "cuda"]
 
 
 @contextmanager

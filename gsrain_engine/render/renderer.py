@@ -8,6 +8,7 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Part
 
 from .frame import Frame
+from .look import Look
 from .statistics import RenderStatistics
 
 
@@ -32,10 +33,12 @@ class Renderer(Protocol):
         rain: RainGaussians | None = None,
         *,
         with_depth: bool = False,
+        look: Look = "splats",
     ) -> None:
         """Draw parts and rain as one depth-ordered compositing; `read` hands out the picture.
 
-        `camera` is in the world (metres). Depth is the scene's own: rain takes no part in it.
+        `camera` is in the world (metres). Depth is the scene's own: rain takes no part in it. `look` shows something
+        else than the picture, without rain.
         """
         ...
 

@@ -10,6 +10,10 @@ class RenderStatistics:
 
     gaussians: int = 0
     splats_drawn: int = 0
+    drops_drawn: int = 0
+    """Drops that became streaks; each is one to four Gaussians."""
+    haze_drawn: int = 0
+    """Haze Gaussians that were handed to the renderer."""
     stages_ms: dict[str, float] = field(default_factory=dict[str, float])
     """Wall time a stage: project, sort, draw (GPU work included, since each stage waits for its result)."""
 

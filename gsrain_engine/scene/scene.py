@@ -84,6 +84,13 @@ class Part(NamedTuple):
 
     gaussians: Gaussians
     to_world: Float64[np.ndarray, "4 4"]
+    limit: int | None = None
+    """Draw only the first so many of them; none draws all."""
+
+    @property
+    def count(self) -> int:
+        """How many are drawn."""
+        return len(self.gaussians) if self.limit is None else min(self.limit, len(self.gaussians))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
