@@ -1,14 +1,21 @@
-// A projected Gaussian ("splat"): what the projection pass writes and the drawing pass reads.
+// A projected Gaussian ("splat"): the 32 bytes that the projection pass writes and the drawing pass reads.
 
 struct Splat {
-    vec4 ellipse;     // centre (px), first axis of one standard deviation (px)
-    vec4 extent;      // second axis (px), largest alpha, half side of the quad in standard deviations
-    vec4 appearance;  // display colour, view depth (m)
+    vec2 center;       // px
+    vec2 first_axis;   // one standard deviation (px); the second axis is perpendicular
+    float second;      // length of the second axis (px), negative for rain
+    float depth;       // along the view axis (m)
+    uvec2 appearance;  // display colour and largest alpha, four halves
 };
 
-// Extent is negative for rain, which keeps much fainter fragments than the scene does.
-const float SCENE_ALPHA_CUT = 1.0 / 255.0;    // as the reference rasterizer (Kerbl et al. 2023)
-const float RAIN_ALPHA_CUT = 1.0 / 65536.0;   // a streak's alpha is about 0.01: 1/255 would erase it
-const float MAX_ALPHA = 0.999;
-
-const uint CULLED = 0xFFFFFFFFu;              // depth key of a Gaussian that is not drawn
+// Splats lie in blocks of 2^BLOCK_SHIFT, as many as a driver's storage block may hold.
+layout(std430, binding = 8) SPLAT_ACCESS buffer Splats0 { Splat splats0[]; };
+#if SPLAT_BLOCKS > 1
+layout(std430, binding = 9) SPLAT_ACCESS buffer Splats1 { Splat splats1[]; };
+#endif
+#if SPLAT_BLOCKS > 2
+layout(std430, binding = 10) SPLAT_ACCESS buffer Splats2 { Splat splats2[]; };
+#endif
+#if SPLAT_BLOCKS > 3
+layout(std430, binding = 11) SPLAT_ACCESS buffer Splats3 { Splat splats3[]; };
+#endif

@@ -3,10 +3,10 @@
 // kept apart: `fragment` gathers the scene alone, as if it were clear, and `shares` how much of each the eye sees
 // through the other. rain_resolve.frag puts them together.
 
-#include "common_splat.glsl"
+#include "common_alpha.glsl"
 
-in vec2 deviations;
-flat in vec4 color_alpha;
+in vec2 offset;
+flat in vec4 color_log_alpha;
 flat in float view_depth;
 flat in int is_rain;
 
@@ -19,14 +19,25 @@ layout(location = 2) out vec4 weighted_depth;  // of the scene: rain has no part
 #endif
 
 void main() {
-    float alpha = min(MAX_ALPHA, color_alpha.a * exp(-0.5 * dot(deviations, deviations)));
-    if (alpha < (is_rain != 0 ? RAIN_ALPHA_CUT : SCENE_ALPHA_CUT)) discard;
+    float exponent = dot(offset, offset);
+#ifdef ELLIPSOIDS
+    float height = 1.0 - exponent / (color_log_alpha.a - log2(SURFACE_ALPHA));
+    if (!(height >= 0.0)) discard;
+    fragment = vec4(color_log_alpha.rgb * (0.5 + 0.5 * sqrt(height)), 1.0);
+    return;
+#endif
+    float alpha = min(MAX_ALPHA, exp2(color_log_alpha.a - exponent));
+    if (alpha < (is_rain != 0 ? RAIN_ALPHA_CUT : SCENE_ALPHA_CUT)) alpha = 0.0;  // on llvmpipe faster than discard
+#ifdef OVERDRAW
+    fragment = vec4(alpha > 0.0 ? 1.0 : 0.0);
+    return;
+#endif
     float scene_alpha = is_rain != 0 ? 0.0 : alpha;
 #ifdef LINEAR_RAIN
-    fragment = vec4(color_alpha.rgb * scene_alpha, scene_alpha);
+    fragment = vec4(color_log_alpha.rgb * scene_alpha, scene_alpha);
     shares = vec4(alpha - scene_alpha, scene_alpha, 0.0, alpha);
 #else
-    fragment = vec4(color_alpha.rgb * alpha, alpha);
+    fragment = vec4(color_log_alpha.rgb * alpha, alpha);
 #endif
 #ifdef WITH_DEPTH
     weighted_depth = vec4(view_depth * scene_alpha, scene_alpha, 0.0, scene_alpha);

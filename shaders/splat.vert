@@ -1,26 +1,58 @@
 #version 430
-// One quad a splat, vertex-pulled, farthest first.
+// Quads of splats, farthest first, vertex-pulled: 128 of them an instance, four vertices each.
 
+#define SPLAT_ACCESS readonly
+#include "common_alpha.glsl"
 #include "common_splat.glsl"
 
-layout(std430, binding = 4) readonly buffer Splats { Splat splats[]; };
-layout(std430, binding = 6) readonly buffer Order { uint order[]; };
+layout(std430, binding = 1) readonly buffer Order { uint order[]; };  // slots, nearest first
+layout(std430, binding = 7) readonly buffer Work { uint draw_command[5]; uint visible_count; };
 
 uniform vec2 image_size;  // px
 
-out vec2 deviations;           // distance from the centre in standard deviations
-flat out vec4 color_alpha;     // display colour, largest alpha
-flat out float view_depth;     // m
+out vec2 offset;                // from the centre, scaled so that alpha falls by 2^-(offset^2)
+flat out vec4 color_log_alpha;  // display colour, log2 of the largest alpha
+flat out float view_depth;      // m
 flat out int is_rain;
 
+const float STANDARD_DEVIATIONS = sqrt(2.0 * log(2.0));  // of offset 1
+
+Splat load_splat(uint slot) {
+    uint place = slot & ((1u << BLOCK_SHIFT) - 1u);
+    switch (slot >> BLOCK_SHIFT) {
+#if SPLAT_BLOCKS > 1
+        case 1u: return splats1[place];
+#endif
+#if SPLAT_BLOCKS > 2
+        case 2u: return splats2[place];
+#endif
+#if SPLAT_BLOCKS > 3
+        case 3u: return splats3[place];
+#endif
+        default: return splats0[place];
+    }
+}
+
 void main() {
-    Splat splat = splats[order[gl_InstanceID]];
-    vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
-    deviations = corner * abs(splat.extent.w);
-    color_alpha = vec4(splat.appearance.rgb, splat.extent.z);
-    view_depth = splat.appearance.a;
-    is_rain = splat.extent.w < 0.0 ? 1 : 0;
-    vec2 pixel = splat.ellipse.xy + deviations.x * splat.ellipse.zw + deviations.y * splat.extent.xy;
+    uint number = uint(gl_InstanceID) * 128u + uint(gl_VertexID >> 2);
+    if (number >= visible_count) {  // the rest of the last instance: a quad of no area
+        gl_Position = vec4(2.0, 2.0, 0.0, 1.0);
+        return;
+    }
+    Splat splat = load_splat(order[visible_count - 1u - number]);
+    vec2 blue_alpha = unpackHalf2x16(splat.appearance.y);
+    color_log_alpha = vec4(unpackHalf2x16(splat.appearance.x), blue_alpha.x, log2(blue_alpha.y));
+    view_depth = splat.depth;
+    is_rain = splat.second < 0.0 ? 1 : 0;
+    float cut = is_rain != 0 ? RAIN_ALPHA_CUT : SCENE_ALPHA_CUT;
+#ifdef ELLIPSOIDS
+    cut = SURFACE_ALPHA;
+#endif
+    float reach = sqrt(max(color_log_alpha.a - log2(cut), 0.0));  // exact: alpha is the cut at the edge
+    offset = reach * (vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0);
+    vec2 deviations = STANDARD_DEVIATIONS * offset;
+    vec2 second_axis = abs(splat.second) * normalize(vec2(-splat.first_axis.y, splat.first_axis.x));
+    vec2 pixel = splat.center + deviations.x * splat.first_axis + deviations.y * second_axis;
     // The image's first row is the framebuffer's first row: no flip when reading back or showing.
     gl_Position = vec4(2.0 * pixel / image_size - 1.0, 0.0, 1.0);
 }

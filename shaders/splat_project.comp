@@ -1,30 +1,27 @@
 #version 430
-// Projects each Gaussian once: cull, 2D covariance, exact extent, colour. One thread a Gaussian.
-// Zwicker et al. 2002 (EWA splatting) as used by Kerbl et al. 2023; limits for off-centre cameras as in gsplat.
+// Projects each Gaussian of a chunk once. One thread a Gaussian.
 
 layout(local_size_x = 256) in;
 
-#include "common_splat.glsl"
+#include "common_projection.glsl"
 #include "common_spherical_harmonics.glsl"
+#include "common_heat.glsl"
 
 layout(std430, binding = 0) readonly buffer Means { vec4 means_opacities[]; };
-layout(std430, binding = 1) readonly buffer Scales { vec4 scales[]; };
+layout(std430, binding = 1) readonly buffer Scales { float scales[]; };         // 3 a Gaussian
 layout(std430, binding = 2) readonly buffer Rotations { vec4 quaternions[]; };  // w x y z
-layout(std430, binding = 3) readonly buffer Harmonics { float harmonics[]; };   // K * 3 a Gaussian
-layout(std430, binding = 4) writeonly buffer Splats { Splat splats[]; };
-layout(std430, binding = 5) writeonly buffer Depths { uint depth_keys[]; };
+layout(std430, binding = 3) readonly buffer Harmonics { uint harmonics[]; };    // as SH_BITS says
 
-uniform int count;
-uniform int first_splat;          // where this chunk's splats start
+uniform uint count;
 uniform int coefficients;         // spherical harmonics a colour: 1, 4, 9, 16
 uniform mat4 object_to_camera;    // may hold a uniform scale
 uniform vec3 camera_in_object;    // centre of projection in the Gaussians' own frame
-uniform vec4 intrinsics;          // fx fy cx cy (px)
-uniform vec2 image_size;          // px
-uniform float near;               // m
+uniform mat3 camera_to_world;
+uniform vec3 layer_color;
 uniform bool is_rain;
+uniform int look;                 // 0 the picture, else LOOK_*
 
-const float DILATION = 0.3;       // px^2, added to the 2D covariance: the pixel's own footprint
+const int LOOK_POINTS = 1, LOOK_NORMALS = 2, LOOK_OPACITY = 3, LOOK_LAYERS = 4;
 
 mat3 rotation_matrix(vec4 q) {    // columns are the Gaussian's axes
     float w = q.x, x = q.y, y = q.z, z = q.w;
@@ -34,62 +31,67 @@ mat3 rotation_matrix(vec4 q) {    // columns are the Gaussian's axes
         2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
 }
 
-vec3 display_color(int i, vec3 mean) {
+// Harmonic k of Gaussian i. Storage: 32-bit floats; halves, rows padded to an even number; or the first harmonic as
+// halves with a half that scales the others, which are signed bytes, rows padded to whole words.
+#if SH_BITS == 32
+vec3 harmonic(uint i, int k) {
+    uint at = 3u * (i * uint(coefficients) + uint(k));
+    return vec3(uintBitsToFloat(harmonics[at]), uintBitsToFloat(harmonics[at + 1u]), uintBitsToFloat(harmonics[at + 2u]));
+}
+#elif SH_BITS == 16
+vec3 harmonic(uint i, int k) {
+    uint at = i * uint((3 * coefficients + 1) / 2) + uint(3 * k / 2);
+    vec2 first = unpackHalf2x16(harmonics[at]), second = unpackHalf2x16(harmonics[at + 1u]);
+    return (k & 1) == 0 ? vec3(first, second.x) : vec3(first.y, second);
+}
+#else
+float signed_byte(uint base, int n) {
+    return float(bitfieldExtract(int(harmonics[base + uint(n >> 2)]), 8 * (n & 3), 8));
+}
+vec3 harmonic(uint i, int k) {
+    uint base = i * uint(2 + (3 * coefficients) / 4);
+    vec2 last = unpackHalf2x16(harmonics[base + 1u]);
+    if (k == 0) return vec3(unpackHalf2x16(harmonics[base]), last.x);
+    int n = 3 * (k - 1);
+    return last.y * vec3(signed_byte(base + 2u, n), signed_byte(base + 2u, n + 1), signed_byte(base + 2u, n + 2));
+}
+#endif
+
+vec3 display_color(uint i, vec3 mean) {
     vec3 direction = normalize(mean - camera_in_object);
     vec3 color = vec3(0.5);
-    int base = i * coefficients * 3;
-    for (int k = 0; k < coefficients; ++k) {
-        int at = base + 3 * k;
-        color += sh_basis(k, direction) * vec3(harmonics[at], harmonics[at + 1], harmonics[at + 2]);
-    }
+    for (int k = 0; k < coefficients; ++k) color += sh_basis(k, direction) * harmonic(i, k);
     return max(color, 0.0);
 }
 
+vec3 normal_color(mat3 axes, vec3 s, vec3 p) {
+    vec3 normal = normalize(s.x <= s.y && s.x <= s.z ? axes[0] : (s.y <= s.z ? axes[1] : axes[2]));
+    return 0.5 + 0.5 * (camera_to_world * (dot(normal, p) > 0.0 ? -normal : normal));
+}
+
 void main() {
-    int i = int(gl_GlobalInvocationID.x);
-    if (i >= count) return;
-    int target = first_splat + i;
-    depth_keys[target] = CULLED;
-
-    vec4 mean_opacity = means_opacities[i];
-    vec3 p = (object_to_camera * vec4(mean_opacity.xyz, 1.0)).xyz;
-    if (!(p.z > near)) return;  // also drops NaN
-
-    // Local affine approximation of the projection, held back at 1.3 times the field of view.
-    vec2 f = intrinsics.xy, c = intrinsics.zw;
-    vec2 margin = 0.15 * image_size / f;
-    vec2 slope = clamp(p.xy / p.z, -c / f - margin, (image_size - c) / f + margin);
-    vec3 rx = vec3(f.x / p.z, 0.0, -f.x * slope.x / p.z);
-    vec3 ry = vec3(0.0, f.y / p.z, -f.y * slope.y / p.z);
-
-    mat3 axes = mat3(object_to_camera) * rotation_matrix(quaternions[i]);
-    vec3 s = scales[i].xyz;
-    vec3 ux = (rx * axes) * s, uy = (ry * axes) * s;  // rows of J W R S
-    float a = dot(ux, ux), b = dot(ux, uy), d = dot(uy, uy);
-
-    float opacity = mean_opacity.w;
-    float cut = is_rain ? RAIN_ALPHA_CUT : SCENE_ALPHA_CUT;
-    float before = max(a * d - b * b, 0.0);
-    a += DILATION;
-    d += DILATION;
-    float determinant = a * d - b * b;
-    if (is_rain) opacity *= sqrt(before / determinant);  // keeps the integral of alpha (Yu et al. 2024)
-    if (!(opacity > cut) || isinf(determinant)) return;
-    float extent = sqrt(2.0 * log(opacity / cut));       // exact: alpha is the cut at the edge
-
-    float middle = 0.5 * (a + d);
-    float spread = length(vec2(0.5 * (a - d), b));
-    float large = middle + spread;
-    float small = max(determinant / large, 1e-6);
-    vec2 axis = abs(b) > 1e-9 * large ? normalize(vec2(b, large - a)) : (a >= d ? vec2(1, 0) : vec2(0, 1));
-    vec2 first = sqrt(large) * axis, second = sqrt(small) * vec2(-axis.y, axis.x);
-
-    vec2 center = f * p.xy / p.z + c;
-    vec2 reach = extent * sqrt(vec2(a, d));
-    if (any(lessThan(center + reach, vec2(0))) || any(greaterThan(center - reach, image_size))) return;
-
-    depth_keys[target] = floatBitsToUint(p.z);
-    splats[target] = Splat(
-        vec4(center, first), vec4(second, opacity, is_rain ? -extent : extent),
-        vec4(display_color(i, mean_opacity.xyz), p.z));
+    uint i = gl_GlobalInvocationID.x;
+    Splat splat;
+    bool visible = false;
+    if (i < count) {
+        vec4 mean_opacity = means_opacities[i];
+        vec3 p = (object_to_camera * vec4(mean_opacity.xyz, 1.0)).xyz;
+        if (p.z > near) {
+            mat3 axes = mat3(object_to_camera) * rotation_matrix(quaternions[i]);
+            vec3 s = vec3(scales[3u * i], scales[3u * i + 1u], scales[3u * i + 2u]);
+            float opacity = min(mean_opacity.w, 1.0);
+            mat3 extents = mat3(axes[0] * s.x, axes[1] * s.y, axes[2] * s.z);
+            visible = project(p, extents, opacity, is_rain, look == LOOK_POINTS, splat);
+            if (visible) {
+                vec3 color;
+                if (look == LOOK_NORMALS) color = normal_color(axes, s, p);
+                else if (look == LOOK_OPACITY) color = heat_color(opacity);
+                else if (look == LOOK_LAYERS) color = layer_color;
+                else color = display_color(i, mean_opacity.xyz);
+                visible = !(any(isnan(color)) || any(isinf(color)));
+                set_color(splat, color);
+            }
+        }
+    }
+    emit(visible, splat);
 }

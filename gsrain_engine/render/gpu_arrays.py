@@ -2,15 +2,25 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import moderngl
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, UInt8
 
 from gsrain_engine.scene.gaussians import Gaussians
 
 CHUNK = 1 << 19
 """Gaussians a buffer: at SH degree 3 that is 96 MiB, below the 128 MiB that a storage block may have on llvmpipe."""
+
+Harmonics = Literal["single", "half", "byte"]
+"""How colours lie on the GPU: 32-bit floats; halves; or the first harmonic in halves and the others in signed bytes.
+
+Reading them is what bounds a frame on a GPU: 192, 96 or 56 bytes a Gaussian at SH degree 3.
+"""
+
+SH_BITS: dict[Harmonics, int] = {"single": 32, "half": 16, "byte": 8}
+"""The shaders' name for each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +54,9 @@ class GpuArrays:
     Gaussians are values, so two sets that share an array (the same geometry in other colours) share its buffers.
     """
 
-    def __init__(self, context: moderngl.Context) -> None:
+    def __init__(self, context: moderngl.Context, harmonics: Harmonics = "half") -> None:
         self._context = context
+        self.harmonics: Harmonics = harmonics
         self._arrays: dict[_Key, _Array] = {}
         self._used: set[_Key] = set()
 
@@ -67,14 +78,14 @@ class GpuArrays:
         done = 0
         for sources in missing:
             array = _Array(sources, [])
-            width = _packed(sources, slice(0, 0)).shape[1]
+            row_bytes = self._packed(sources, slice(0, 1)).shape[1]
             for start in range(0, len(gaussians), CHUNK):
-                array.buffers.append(self._context.buffer(reserve=4 * width * min(CHUNK, len(gaussians) - start)))
+                array.buffers.append(self._context.buffer(reserve=row_bytes * min(CHUNK, len(gaussians) - start)))
             for start in range(0, len(gaussians), slice_size):
                 for at in range(start, min(start + slice_size, len(gaussians)), CHUNK):
                     stop = min(at + CHUNK - at % CHUNK, start + slice_size, len(gaussians))
-                    data = _packed(sources, slice(at, stop))
-                    array.buffers[at // CHUNK].write(data, offset=4 * width * (at % CHUNK))
+                    data = self._packed(sources, slice(at, stop))
+                    array.buffers[at // CHUNK].write(data, offset=row_bytes * (at % CHUNK))
                 done += 1
                 yield done / steps
             self._arrays[tuple(map(id, sources))] = array
@@ -86,16 +97,46 @@ class GpuArrays:
                 buffer.release()
         self._used.clear()
 
+    def _packed(self, sources: tuple[Float32[np.ndarray, "..."], ...], rows: slice) -> UInt8[np.ndarray, "m bytes"]:
+        """Rows as the shader reads them: means beside opacities, harmonics in their storage, the rest as it is."""
+        first = sources[0][rows]
+        if len(sources) == 2:
+            return _as_bytes(np.concatenate([first, sources[1][rows][:, None]], axis=1))
+        if first.ndim == 3:
+            return packed_harmonics(first, self.harmonics)
+        return _as_bytes(np.ascontiguousarray(first))
+
+
+def packed_harmonics(sh: Float32[np.ndarray, "m k 3"], storage: Harmonics) -> UInt8[np.ndarray, "m bytes"]:
+    """Harmonics as splat_project.comp reads them; rows are whole 32-bit words.
+
+    Bytes hold n/127 of a Gaussian's largest coefficient after the first harmonic; that one number stands, as a half,
+    beside the three of the first harmonic.
+    """
+    flat = np.ascontiguousarray(sh).reshape(len(sh), 3 * sh.shape[1])
+    if storage == "single":
+        return _as_bytes(flat)
+    if storage == "half":
+        return _as_bytes(_padded(_halves(flat), 2))
+    rest = flat[:, 3:]
+    step = _halves(np.max(np.abs(rest), axis=1, initial=0.0, keepdims=True) / np.float32(127))
+    safe = np.where(step > 0, step, np.float16(1)).astype(np.float32)
+    levels = np.clip(np.rint(rest / safe), -127, 127).astype(np.int8)
+    head = _as_bytes(np.concatenate([_halves(flat[:, :3]), step], axis=1))
+    return np.concatenate([head, _padded(_as_bytes(levels), 4)], axis=1)
+
+
+def _halves(values: Float32[np.ndarray, "m n"]) -> "np.ndarray[tuple[int, int], np.dtype[np.float16]]":
+    return np.clip(values, -65504, 65504).astype(np.float16)
+
+
+def _padded(rows: "np.ndarray[Any, np.dtype[Any]]", multiple: int) -> "np.ndarray[Any, np.dtype[Any]]":
+    return np.pad(rows, ((0, 0), (0, -rows.shape[1] % multiple)))
+
+
+def _as_bytes(rows: "np.ndarray[Any, np.dtype[Any]]") -> UInt8[np.ndarray, "m bytes"]:
+    return rows.view(np.uint8).reshape(len(rows), rows.shape[1] * rows.itemsize)
+
 
 def _sources(gaussians: Gaussians) -> list[tuple[Float32[np.ndarray, "..."], ...]]:
     return [(gaussians.means, gaussians.opacities), (gaussians.scales,), (gaussians.quaternions,), (gaussians.sh,)]
-
-
-def _packed(sources: tuple[Float32[np.ndarray, "..."], ...], rows: slice) -> Float32[np.ndarray, "m w"]:
-    """Rows as the shader reads them: means beside opacities, scales padded to four numbers, the rest as it is."""
-    first = sources[0][rows].reshape(len(sources[0][rows]), int(np.prod(sources[0].shape[1:])))
-    if len(sources) == 2:
-        return np.concatenate([first, sources[1][rows][:, None]], axis=1)
-    if first.shape[1] == 3 and sources[0].ndim == 2:
-        return np.pad(first, ((0, 0), (0, 1)))
-    return np.ascontiguousarray(first)

@@ -1,6 +1,7 @@
 """GLSL sources: includes, switches, and compile errors that name the shader's own file and line."""
 
 import re
+from collections.abc import Mapping
 from importlib import resources
 
 import moderngl
@@ -14,9 +15,13 @@ class ShaderError(RuntimeError):
     """A shader that does not compile: the driver's words with our files and lines."""
 
 
-def load_program(context: moderngl.Context, *names: str, switches: tuple[str, ...] = ()) -> moderngl.Program:
+Switches = Mapping[str, int]
+"""Macros that a shader is compiled with, by name."""
+
+
+def load_program(context: moderngl.Context, *names: str, switches: Switches | None = None) -> moderngl.Program:
     """Compile a vertex and a fragment shader (`name.vert`, `name.frag`) of the package `shaders`."""
-    vertex, fragment = (_Source(name, switches) for name in names)
+    vertex, fragment = (_Source(name, switches or {}) for name in names)
     try:
         return context.program(vertex_shader=vertex.text, fragment_shader=fragment.text)
     except moderngl.Error as error:
@@ -24,9 +29,11 @@ def load_program(context: moderngl.Context, *names: str, switches: tuple[str, ..
         raise ShaderError(source.explain(str(error))) from None
 
 
-def load_compute_shader(context: moderngl.Context, name: str) -> moderngl.ComputeShader:
+def load_compute_shader(
+    context: moderngl.Context, name: str, switches: Switches | None = None
+) -> moderngl.ComputeShader:
     """Compile a compute shader (`name.comp`) of the package `shaders`."""
-    source = _Source(name, ())
+    source = _Source(name, switches or {})
     try:
         return context.compute_shader(source.text)
     except moderngl.Error as error:
@@ -36,24 +43,25 @@ def load_compute_shader(context: moderngl.Context, name: str) -> moderngl.Comput
 class _Source:
     """The text of a shader after its includes, and where each line came from."""
 
-    def __init__(self, name: str, switches: tuple[str, ...]) -> None:
+    def __init__(self, name: str, switches: Switches) -> None:
         self.name = name
         self.origins: list[tuple[str, int]] = []
-        lines: list[str] = []
+        self._lines: list[str] = []
+        self._switches = switches
+        self._take_in(name)
+        self.text = "\n".join(self._lines) + "\n"
+
+    def _take_in(self, name: str) -> None:
         for number, line in enumerate(_read(name), start=1):
             include = _INCLUDE.match(line)
             if include:
-                for inner_number, inner in enumerate(_read(include[1]), start=1):
-                    lines.append(inner)
-                    self.origins.append((include[1], inner_number))
+                self._take_in(include[1])
                 continue
-            lines.append(line)
-            self.origins.append((name, number))
+            added = [line]
             if line.startswith("#version"):
-                for switch in switches:
-                    lines.append(f"#define {switch}")
-                    self.origins.append((name, number))
-        self.text = "\n".join(lines) + "\n"
+                added += [f"#define {switch} {value}" for switch, value in self._switches.items()]
+            self._lines += added
+            self.origins += [(name, number)] * len(added)
 
     def explain(self, message: str) -> str:
         """Replace line numbers of the expanded text by file names and lines."""

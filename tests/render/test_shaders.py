@@ -15,6 +15,6 @@ def test_error_names_our_file_and_line(context, monkeypatch):
 
 
 def test_switches_reach_the_shader(context):
-    plain = load_program(context, "splat.vert", "splat.frag")
-    rainy = load_program(context, "splat.vert", "splat.frag", switches=("LINEAR_RAIN",))
-    assert plain.glo != rainy.glo
+    plain = load_program(context, "screen.vert", "heat.frag")
+    depth = load_program(context, "screen.vert", "heat.frag", switches={"DEPTH": 1})
+    assert plain.glo != depth.glo

@@ -1,0 +1,92 @@
+// From a Gaussian in the camera's frame to a splat: cull, 2D covariance, exact extent.
+// Zwicker et al. 2002 (EWA splatting) as used by Kerbl et al. 2023; limits for off-centre cameras as in gsplat.
+
+#define SPLAT_ACCESS writeonly
+#include "common_alpha.glsl"
+#include "common_splat.glsl"
+
+layout(std430, binding = 4) writeonly buffer Keys { uint sparse_keys[]; };    // of visible splats, packed block by block
+layout(std430, binding = 5) writeonly buffer Counts { uint block_counts[]; };  // visible splats of each 256 slots
+
+uniform vec4 intrinsics;          // fx fy cx cy (px)
+uniform vec2 image_size;          // px
+uniform float near;               // m
+uniform uint first_slot;          // where this dispatch's splats start, a multiple of 256
+
+const float DILATION = 0.3;       // px^2, added to the 2D covariance: the pixel's own footprint
+
+// Splat of a Gaussian at p (m) with axes * axes^T as its covariance (m^2), both in the camera's frame, but for its
+// colour. False where nothing of it is to be drawn.
+bool project(vec3 p, mat3 axes, float opacity, bool is_rain, bool as_point, out Splat splat) {
+    if (!(p.z > near && p.z < 1e30)) return false;  // also drops NaN
+
+    // Local affine approximation of the projection, held back at 1.3 times the field of view.
+    vec2 f = intrinsics.xy, c = intrinsics.zw;
+    vec2 margin = 0.15 * image_size / f;
+    vec2 slope = clamp(p.xy / p.z, -c / f - margin, (image_size - c) / f + margin);
+    vec3 ux = vec3(f.x / p.z, 0.0, -f.x * slope.x / p.z) * axes;
+    vec3 uy = vec3(0.0, f.y / p.z, -f.y * slope.y / p.z) * axes;
+    float a = dot(ux, ux), b = dot(ux, uy), d = dot(uy, uy);
+    float before = max(a * d - b * b, 0.0);
+    a += DILATION;
+    d += DILATION;
+    if (as_point) { a = 1.0; d = 1.0; b = 0.0; opacity = 1.0; }
+    float determinant = a * d - b * b;
+    float cut = is_rain ? RAIN_ALPHA_CUT : SCENE_ALPHA_CUT;
+    if (is_rain) opacity *= sqrt(before / determinant);  // keeps the integral of alpha (Yu et al. 2024)
+    if (!(opacity > cut) || !(determinant > 0.0) || isinf(determinant)) return false;
+
+    vec2 center = f * p.xy / p.z + c;
+    vec2 reach = sqrt(2.0 * log(opacity / cut) * vec2(a, d));  // exact: alpha is the cut at the edge
+    if (any(lessThan(center + reach, vec2(0))) || any(greaterThan(center - reach, image_size))) return false;
+
+    float large = 0.5 * (a + d) + length(vec2(0.5 * (a - d), b));
+    vec2 axis = abs(b) > 1e-9 * large ? normalize(vec2(b, large - a)) : (a >= d ? vec2(1, 0) : vec2(0, 1));
+    splat.center = center;
+    splat.first_axis = sqrt(large) * axis;
+    splat.second = sqrt(max(determinant / large, 1e-6)) * (is_rain ? -1.0 : 1.0);
+    splat.depth = p.z;
+    splat.appearance = uvec2(0u, packHalf2x16(vec2(0.0, opacity)));
+    return true;
+}
+
+void set_color(inout Splat splat, vec3 color) {
+    splat.appearance = uvec2(
+        packHalf2x16(min(color.rg, 65504.0)), (splat.appearance.y & 0xFFFF0000u) | packHalf2x16(vec2(min(color.b, 65504.0), 0.0)));
+}
+
+shared uint visible_mask[8];
+
+// Packs the visible splats of a workgroup of 256 to the front of its 256 slots, in the order of its threads. Every thread
+// calls it, `visible` or not.
+void emit(bool visible, Splat splat) {
+    uint lane = gl_LocalInvocationID.x, word = lane >> 5;
+    if (lane < 8u) visible_mask[lane] = 0u;
+    barrier();
+    if (visible) atomicOr(visible_mask[word], 1u << (lane & 31u));
+    barrier();
+    uint rank = uint(bitCount(visible_mask[word] & ((1u << (lane & 31u)) - 1u))), total = 0u;
+    for (uint k = 0u; k < 8u; ++k) {
+        uint count = uint(bitCount(visible_mask[k]));
+        if (k < word) rank += count;
+        total += count;
+    }
+    if (lane == 0u) block_counts[first_slot / 256u + gl_WorkGroupID.x] = total;
+    if (!visible) return;
+    uint slot = first_slot + gl_WorkGroupID.x * 256u + rank;
+    // The bits of a positive float sort like the number itself; 28 bits tell all depths up to 8e8 m apart.
+    sparse_keys[slot] = min(floatBitsToUint(splat.depth) - floatBitsToUint(near), 0x0FFFFFFFu);
+    uint place = slot & ((1u << BLOCK_SHIFT) - 1u);
+    switch (slot >> BLOCK_SHIFT) {
+        case 0u: splats0[place] = splat; break;
+#if SPLAT_BLOCKS > 1
+        case 1u: splats1[place] = splat; break;
+#endif
+#if SPLAT_BLOCKS > 2
+        case 2u: splats2[place] = splat; break;
+#endif
+#if SPLAT_BLOCKS > 3
+        case 3u: splats3[place] = splat; break;
+#endif
+    }
+}

@@ -1,0 +1,20 @@
+#version 430
+// Counts how often each digit occurs among the keys of each workgroup.
+
+#include "common_radix.glsl"
+
+layout(std430, binding = 4) writeonly buffer Counts { uint counts[]; };  // digit by digit, workgroup by workgroup
+
+shared uint tally[DIGITS];
+
+void main() {
+    uint lane = gl_LocalInvocationID.x;
+    if (lane < DIGITS) tally[lane] = 0u;
+    barrier();
+    for (uint r = 0u; r < ROUNDS; ++r) {
+        uint at = gl_WorkGroupID.x * KEYS_BY_GROUP + r * 256u + lane;
+        if (at < key_count) atomicAdd(tally[digit_of(keys[at])], 1u);
+    }
+    barrier();
+    if (lane < DIGITS) counts[lane * groups + gl_WorkGroupID.x] = tally[lane];
+}

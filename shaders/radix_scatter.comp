@@ -1,0 +1,39 @@
+#version 430
+// Moves keys and their slots to where their digit puts them; equal digits keep their order.
+
+#include "common_radix.glsl"
+
+layout(std430, binding = 1) readonly buffer Slots { uint slots[]; };
+layout(std430, binding = 2) writeonly buffer SortedKeys { uint sorted_keys[]; };
+layout(std430, binding = 3) writeonly buffer SortedSlots { uint sorted_slots[]; };
+layout(std430, binding = 4) readonly buffer Places { uint places[]; };
+
+shared uint place[DIGITS];      // where the next key of each digit goes
+shared uint mask[DIGITS * 8u];  // which of the 256 threads have the digit in this round
+
+void main() {
+    uint lane = gl_LocalInvocationID.x, word = lane >> 5, bit = 1u << (lane & 31u);
+    if (lane < DIGITS) place[lane] = places[lane * groups + gl_WorkGroupID.x];
+    for (uint r = 0u; r < ROUNDS; ++r) {
+        if (lane < DIGITS * 8u) mask[lane] = 0u;
+        barrier();
+        uint at = gl_WorkGroupID.x * KEYS_BY_GROUP + r * 256u + lane;
+        bool held = at < key_count;
+        uint key = held ? keys[at] : 0u, digit = digit_of(key);
+        if (held) atomicOr(mask[digit * 8u + word], bit);
+        barrier();
+        if (held) {
+            uint rank = uint(bitCount(mask[digit * 8u + word] & (bit - 1u)));
+            for (uint k = 0u; k < word; ++k) rank += uint(bitCount(mask[digit * 8u + k]));
+            uint to = place[digit] + rank;
+            sorted_keys[to] = key;
+            sorted_slots[to] = slots[at];
+        }
+        barrier();
+        if (lane < DIGITS) {
+            uint sum = 0u;
+            for (uint k = 0u; k < 8u; ++k) sum += uint(bitCount(mask[lane * 8u + k]));
+            place[lane] += sum;
+        }
+    }
+}

@@ -1,0 +1,52 @@
+#version 430
+// Where each block of 256 slots puts its visible splats, and how much work that makes for sorting and drawing: an
+// exclusive scan of the counts by one workgroup, each thread over a run of its own.
+
+layout(local_size_x = 1024) in;
+
+layout(std430, binding = 5) buffer Counts { uint block_counts[]; };  // in: counts, out: first places
+layout(std430, binding = 7) writeonly buffer Work {
+    uint draw_command[5];    // of an indirect indexed draw: indices, instances, first index, base vertex, base instance
+    uint visible_count;
+    uint sort_groups[3];     // of an indirect dispatch
+};
+
+uniform uint blocks;
+
+const uint SORTED_BY_GROUP = 4096u, DRAWN_BY_INSTANCE = 128u;
+
+shared uint sums[1024];
+
+void main() {
+    uint thread = gl_LocalInvocationID.x;
+    uint run = (blocks + 1023u) / 1024u;
+    uint first = thread * run, last = min(first + run, blocks);
+    uint sum = 0u;
+    for (uint k = first; k < last; ++k) sum += block_counts[k];
+    sums[thread] = sum;
+    barrier();
+    for (uint step = 1u; step < 1024u; step *= 2u) {
+        uint before = thread >= step ? sums[thread - step] : 0u;
+        barrier();
+        sums[thread] += before;
+        barrier();
+    }
+    uint place = sums[thread] - sum;
+    for (uint k = first; k < last; ++k) {
+        uint count = block_counts[k];
+        block_counts[k] = place;
+        place += count;
+    }
+    if (thread == 1023u) {
+        uint total = sums[1023];
+        visible_count = total;
+        sort_groups[0] = (total + SORTED_BY_GROUP - 1u) / SORTED_BY_GROUP;
+        sort_groups[1] = 1u;
+        sort_groups[2] = 1u;
+        draw_command[0] = 6u * DRAWN_BY_INSTANCE;
+        draw_command[1] = (total + DRAWN_BY_INSTANCE - 1u) / DRAWN_BY_INSTANCE;
+        draw_command[2] = 0u;
+        draw_command[3] = 0u;
+        draw_command[4] = 0u;
+    }
+}
