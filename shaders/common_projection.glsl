@@ -57,9 +57,9 @@ void set_color(inout Splat splat, vec3 color) {
 
 shared uint visible_mask[8];
 
-// Packs the visible splats of a workgroup of 256 to the front of its 256 slots, in the order of its threads. Every thread
-// calls it, `visible` or not.
-void emit(bool visible, Splat splat) {
+// Packs the visible splats of a workgroup of 256 to the front of a block of 256 slots, in the order of its threads. Every
+// thread calls it, `visible` or not; `block` counts from the dispatch's first slot.
+void emit(bool visible, Splat splat, uint block) {
     uint lane = gl_LocalInvocationID.x, word = lane >> 5;
     if (lane < 8u) visible_mask[lane] = 0u;
     barrier();
@@ -71,9 +71,9 @@ void emit(bool visible, Splat splat) {
         if (k < word) rank += count;
         total += count;
     }
-    if (lane == 0u) block_counts[first_slot / 256u + gl_WorkGroupID.x] = total;
+    if (lane == 0u) block_counts[first_slot / 256u + block] = total;
     if (!visible) return;
-    uint slot = first_slot + gl_WorkGroupID.x * 256u + rank;
+    uint slot = first_slot + block * 256u + rank;
     // The bits of a positive float sort like the number itself; 28 bits tell all depths up to 8e8 m apart.
     sparse_keys[slot] = min(floatBitsToUint(splat.depth) - floatBitsToUint(near), 0x0FFFFFFFu);
     uint place = slot & ((1u << BLOCK_SHIFT) - 1u);

@@ -93,5 +93,5 @@ void main() {
             }
         }
     }
-    emit(visible, splat);
+    emit(visible, splat, gl_WorkGroupID.x);
 }

@@ -1,6 +1,6 @@
 #version 430
-// Where each block of 256 slots puts its visible splats, and how much work that makes for sorting and drawing: an
-// exclusive scan of the counts by one workgroup, each thread over a run of its own.
+// Where each block of 256 puts its visible splats (or found drops), and how much work they make: an exclusive scan of the
+// counts by one workgroup, each thread over a run of its own.
 
 layout(local_size_x = 1024) in;
 
@@ -8,12 +8,18 @@ layout(std430, binding = 5) buffer Counts { uint block_counts[]; };  // in: coun
 layout(std430, binding = 7) writeonly buffer Work {
     uint draw_command[5];    // of an indirect indexed draw: indices, instances, first index, base vertex, base instance
     uint visible_count;
-    uint sort_groups[3];     // of an indirect dispatch
+    uint groups[3];          // of an indirect dispatch
 };
 
-uniform uint blocks;
+layout(std430, binding = 6) readonly buffer FoundWork { uint unused[6]; uint found_groups; };
 
-const uint SORTED_BY_GROUP = 4096u, DRAWN_BY_INSTANCE = 128u;
+uniform uint blocks;
+uniform uint fixed_blocks;   // whose counts have been written
+uniform uint found_copies;   // so many more for each group of found drops
+uniform uint by_group;       // things that a group of the indirect dispatch takes
+uniform uint most;           // things that there is room for
+
+const uint DRAWN_BY_INSTANCE = 128u;
 
 shared uint sums[1024];
 
@@ -21,8 +27,9 @@ void main() {
     uint thread = gl_LocalInvocationID.x;
     uint run = (blocks + 1023u) / 1024u;
     uint first = thread * run, last = min(first + run, blocks);
+    uint written = fixed_blocks + (found_copies > 0u ? found_copies * found_groups : 0u);
     uint sum = 0u;
-    for (uint k = first; k < last; ++k) sum += block_counts[k];
+    for (uint k = first; k < min(last, written); ++k) sum += block_counts[k];
     sums[thread] = sum;
     barrier();
     for (uint step = 1u; step < 1024u; step *= 2u) {
@@ -33,16 +40,16 @@ void main() {
     }
     uint place = sums[thread] - sum;
     for (uint k = first; k < last; ++k) {
-        uint count = block_counts[k];
+        uint count = k < written ? block_counts[k] : 0u;
         block_counts[k] = place;
         place += count;
     }
     if (thread == 1023u) {
         uint total = sums[1023];
         visible_count = total;
-        sort_groups[0] = (total + SORTED_BY_GROUP - 1u) / SORTED_BY_GROUP;
-        sort_groups[1] = 1u;
-        sort_groups[2] = 1u;
+        groups[0] = (min(total, most) + by_group - 1u) / by_group;
+        groups[1] = 1u;
+        groups[2] = 1u;
         draw_command[0] = 6u * DRAWN_BY_INSTANCE;
         draw_command[1] = (total + DRAWN_BY_INSTANCE - 1u) / DRAWN_BY_INSTANCE;
         draw_command[2] = 0u;

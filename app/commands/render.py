@@ -125,7 +125,7 @@ def _render(
     renderer: Renderer, sequence: FrameSequence, numbers: list[int], sink: FrameSink, depth: bool
 ) -> dict[str, object]:
     """Render frames into a sink; Ctrl-C ends it early and leaves what is there."""
-    started, done, drawn, haze = time.perf_counter(), 0, 0, 0
+    started, done = time.perf_counter(), 0
     state = sequence.rainfall.state
     with progress_bar("Rendering", len(numbers)) as advance:
         try:
@@ -133,8 +133,6 @@ def _render(
             for rendered in sequence.render(renderer, numbers, sky, with_depth=depth):
                 sink.write(rendered.number, rendered.frame)
                 done += 1
-                drawn = rendered.rain.drops_drawn if rendered.rain is not None else 0
-                haze = rendered.rain.haze_drawn if rendered.rain is not None else 0
                 advance()
         except KeyboardInterrupt:
             print(f"stopped after {done} frames")
@@ -143,8 +141,8 @@ def _render(
         "seconds": time.perf_counter() - started,
         "splats": renderer.statistics.splats_drawn,
         "drops": state.drops,
-        "drops_drawn": drawn,
-        "haze_gaussians": haze,
+        "drops_drawn": renderer.statistics.drops_drawn,
+        "haze_gaussians": renderer.statistics.haze_drawn,
         "intensity_mm_h": state.intensity_mm_h,
         "implied_mm_h": state.implied_mm_h,
         "table_implied_mm_h": state.table_implied_mm_h,

@@ -19,7 +19,10 @@ from .random_bits import pcg4d, pcg4d_scalar
 CLASS_STRIDE = 10125
 """Odd, about CLASSES / golden ratio: i -> i * stride mod CLASSES visits every class once in CLASSES drops, evenly."""
 
-_CHUNK = 8192
+FIRST_OF_CLASS = pow(CLASS_STRIDE, -1, CLASSES)
+"""Class c belongs to the drops c * this mod CLASSES, that plus CLASSES, and so on."""
+
+_CLASSES_BY_CHUNK = 64
 
 
 class Offsets(NamedTuple):
@@ -55,10 +58,8 @@ class Culling(NamedTuple):
     cell_to_camera: Float64[np.ndarray, "3 3"]
     slopes: Float64[np.ndarray, "4"]
     """Edges of the view: lowest and highest x/z, lowest and highest y/z."""
-    margin_m: float
+    class_margin_m: Float64[np.ndarray, " classes"]
     """How far a streak reaches beyond its drop."""
-    reach: float
-    """Longest distance that something in view can have for each metre of view depth."""
     class_far_m: Float64[np.ndarray, " classes"]
     """View depth beyond which drops of a class are left to the haze."""
 
@@ -101,61 +102,100 @@ def _place(
 
 def find_drops(count: int, seed: int, where: Offsets, period_m: Float64[np.ndarray, "3"], culling: Culling) -> Drops:
     """Find the drops below a number that the camera may see, in rising order."""
-    seen = np.zeros(count, np.bool_)
-    _mark_seen(np.uint32(seed), where.wraps, where.fractions, period_m, *culling, seen)
-    return drops_at(np.flatnonzero(seen), seed, where)
+    return drops_at(_search(count, seed, where, period_m, culling, only_seen=True), seed, where)
 
 
 def count_in_region(count: int, seed: int, where: Offsets, period_m: Float64[np.ndarray, "3"], culling: Culling) -> int:
     """Count the drops that are inside the streak region, seen or not."""
-    everywhere = culling._replace(
-        slopes=np.array([-np.inf, np.inf, -np.inf, np.inf]), class_far_m=np.full(CLASSES, np.inf)
-    )
-    seen = np.zeros(count, np.bool_)
-    _mark_seen(np.uint32(seed), where.wraps, where.fractions, period_m, *everywhere, seen)
-    return int(np.count_nonzero(seen))
+    return len(_search(count, seed, where, period_m, culling, only_seen=False))
+
+
+def _search(
+    count: int, seed: int, where: Offsets, period_m: Float64[np.ndarray, "3"], culling: Culling, *, only_seen: bool
+) -> Int64[np.ndarray, " m"]:
+    lowest, span = _windows(period_m, culling)
+    if not only_seen:
+        lowest, span = np.zeros_like(lowest), np.full_like(span, 0xFFFFFFFF)
+    found = np.zeros((CLASSES, -(-count // CLASSES)), np.bool_)
+    _mark(np.uint32(seed), count, where.wraps, where.fractions, lowest, span, period_m, *culling, only_seen, found)
+    class_index, turn = np.divmod(np.flatnonzero(found), found.shape[1])
+    return np.sort(turn * CLASSES + class_index * FIRST_OF_CLASS % CLASSES)
+
+
+def _windows(
+    period_m: Float64[np.ndarray, "3"], culling: Culling
+) -> tuple[UInt32[np.ndarray, "classes 3"], UInt32[np.ndarray, "classes 3"]]:
+    """Fractions of the cell between which a drop of each class can be seen on each axis: the first, and how many."""
+    slopes = np.abs(culling.slopes)
+    reach = np.sqrt(1 + max(slopes[:2]) ** 2 + max(slopes[2:]) ** 2)  # distance over depth, at most, within the view
+    away = (reach * culling.class_far_m + 2 * culling.class_margin_m)[:, None] / period_m
+    center = culling.camera_position / period_m + 0.5
+    lowest = np.floor(np.clip(center - away, 0, 1) * (2.0**32 - 1))
+    highest = np.ceil(np.clip(center + away, 0, 1) * (2.0**32 - 1))
+    return lowest.astype(np.uint32), (highest - lowest).astype(np.uint32)
 
 
 @numba.njit(parallel=True, cache=True)
 @no_type_check
-def _mark_seen(
-    seed, wraps, fractions, period, region_rotation, region_half, camera, rotation, slopes, margin, reach, far, seen
+def _mark(
+    seed, count, wraps, fractions, lowest, span, period, region_rotation, region_half, camera, rotation, slopes,
+    margins, far, only_seen, found,
 ):  # fmt: skip
-    half = np.float32(2.0**-32)
-    everything = np.isinf(far[0])
-    for chunk in numba.prange((len(seen) + _CHUNK - 1) // _CHUNK):
-        for n in range(chunk * _CHUNK, min(len(seen), (chunk + 1) * _CHUNK)):
-            i = np.uint32(n)
-            c = (n * CLASS_STRIDE) % CLASSES
-            zero, one, two = np.uint32(0), np.uint32(1), np.uint32(2)
-            _, _, start_z, _ = pcg4d_scalar(i, zero, zero, seed)
-            fraction_z = np.uint32(start_z + fractions[c, 2])
-            z = (fraction_z * half - 0.5) * period[2]
-            if abs(z) > region_half[2] or (not everything and abs(z - camera[2]) > reach * far[c] + margin):
-                continue
-            wrap_z = np.uint32(np.uint32(wraps[c, 2]) + np.uint32(fraction_z < start_z))
-            start_x, _, _, _ = pcg4d_scalar(i, wrap_z, one, seed)
-            fraction_x = np.uint32(start_x + fractions[c, 0])
-            x = (fraction_x * half - 0.5) * period[0]
-            wrap_x = np.uint32(np.uint32(wraps[c, 0]) + np.uint32(fraction_x < start_x))
-            _, start_y, _, _ = pcg4d_scalar(i, wrap_z, np.uint32(wrap_x * two + two), seed)
-            fraction_y = np.uint32(start_y + fractions[c, 1])
-            y = (fraction_y * half - 0.5) * period[1]
-            if abs(region_rotation[0, 0] * x + region_rotation[0, 1] * y) > region_half[0]:
-                continue
-            if abs(region_rotation[1, 0] * x + region_rotation[1, 1] * y) > region_half[1]:
-                continue
-            if everything:
-                seen[n] = True
-                continue
-            dx, dy, dz = x - camera[0], y - camera[1], z - camera[2]
-            depth = rotation[2, 0] * dx + rotation[2, 1] * dy + rotation[2, 2] * dz
-            if depth < 0 or depth > far[c]:
-                continue
-            u = rotation[0, 0] * dx + rotation[0, 1] * dy + rotation[0, 2] * dz
-            v = rotation[1, 0] * dx + rotation[1, 1] * dy + rotation[1, 2] * dz
-            if u < slopes[0] * depth - margin or u > slopes[1] * depth + margin:
-                continue
-            if v < slopes[2] * depth - margin or v > slopes[3] * depth + margin:
-                continue
-            seen[n] = True
+    """Mark drops by class and turn."""
+    half = np.float64(2.0**-32)
+    turns = found.shape[1]
+    for chunk in numba.prange(CLASSES // _CLASSES_BY_CHUNK):
+        at = np.empty((3, turns), np.uint32)
+        for c in range(chunk * _CLASSES_BY_CHUNK, (chunk + 1) * _CLASSES_BY_CHUNK):
+            first = (c * FIRST_OF_CLASS) % CLASSES
+            members = max(0, (count - first + CLASSES - 1) // CLASSES)
+            row, margin = found[c], margins[c]
+            _place_class(np.uint32(first), members, seed, wraps[c], fractions[c], lowest[c], span[c], at, row)
+            for k in range(members):
+                if not row[k]:
+                    continue
+                row[k] = False
+                x = (at[0, k] * half - 0.5) * period[0]
+                y = (at[1, k] * half - 0.5) * period[1]
+                z = (at[2, k] * half - 0.5) * period[2]
+                if abs(z) > region_half[2]:
+                    continue
+                if abs(region_rotation[0, 0] * x + region_rotation[0, 1] * y) > region_half[0]:
+                    continue
+                if abs(region_rotation[1, 0] * x + region_rotation[1, 1] * y) > region_half[1]:
+                    continue
+                if only_seen:
+                    dx, dy, dz = x - camera[0], y - camera[1], z - camera[2]
+                    depth = rotation[2, 0] * dx + rotation[2, 1] * dy + rotation[2, 2] * dz
+                    if depth < 0 or depth > far[c]:
+                        continue
+                    u = rotation[0, 0] * dx + rotation[0, 1] * dy + rotation[0, 2] * dz
+                    v = rotation[1, 0] * dx + rotation[1, 1] * dy + rotation[1, 2] * dz
+                    if u < slopes[0] * depth - margin or u > slopes[1] * depth + margin:
+                        continue
+                    if v < slopes[2] * depth - margin or v > slopes[3] * depth + margin:
+                        continue
+                row[k] = True
+
+
+@numba.njit
+@no_type_check
+def _place_class(first, members, seed, wraps, fractions, lowest, span, at, near):
+    """Place a class' drops as `drops_at` does, and mark those inside the windows: integers and no branch, so SIMD."""
+    zero, one, two = np.uint32(0), np.uint32(1), np.uint32(2)
+    wraps_x, wraps_z = np.uint32(wraps[0]), np.uint32(wraps[2])
+    moved_x, moved_y, moved_z = fractions[0], fractions[1], fractions[2]
+    low_x, low_y, low_z = lowest[0], lowest[1], lowest[2]
+    span_x, span_y, span_z = span[0], span[1], span[2]
+    for k in range(members):
+        i = np.uint32(first + np.uint32(k) * np.uint32(CLASSES))
+        _, _, start_z, _ = pcg4d_scalar(i, zero, zero, seed)
+        z = np.uint32(start_z + moved_z)
+        wrap_z = np.uint32(wraps_z + np.uint32(z < start_z))
+        start_x, _, _, _ = pcg4d_scalar(i, wrap_z, one, seed)
+        x = np.uint32(start_x + moved_x)
+        wrap_x = np.uint32(wraps_x + np.uint32(x < start_x))
+        _, start_y, _, _ = pcg4d_scalar(i, wrap_z, np.uint32(wrap_x * two + two), seed)
+        y = np.uint32(start_y + moved_y)
+        at[0, k], at[1, k], at[2, k] = x, y, z
+        near[k] = (np.uint32(x - low_x) <= span_x) & (np.uint32(y - low_y) <= span_y) & (np.uint32(z - low_z) <= span_z)

@@ -1,22 +1,22 @@
-"""Rain that falls: from what a person asks for, a moment and a camera to the Gaussians of that moment."""
+"""Rain that falls: from what a person asks for, a moment and a camera to the drops and the haze of that moment."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float64
 
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
 
 from .calibration import Calibration, load_calibration
-from .drop_field import Culling, Drops, Offsets, count_in_region, find_drops, offsets
+from .drop_field import Culling, offsets
 from .drop_motion import DropMotion, Wind
+from .falling_rain import FallingRain
 from .haze import make_haze
 from .rain import Rain
-from .rain_gaussians import RainGaussians
 from .rain_state import RainState, fall_speed, rain_state
-from .streaks import Shutter, make_streaks, visible_distance_m
+from .streak_field import StreakField
+from .streaks import STREAK_REACH, Shutter, visible_distance_m
 
 OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)
 """Display colour of drops where a scene shows no sky to take it from."""
@@ -64,52 +64,25 @@ class Rainfall:
         motion = self.motion.changed(time_s, _wind(rain), fall_speed(rain, calibration)(diameters))
         return replace(self, rain=rain, calibration=calibration, state=state, diameters_mm=diameters, motion=motion)
 
-    def at(self, time_s: float, view: View, sky: tuple[float, float, float] = OVERCAST) -> RainGaussians | None:
-        """Return the rain of a moment as Gaussians; None at 0 mm/h. `sky` is the display colour of the scene's sky."""
+    def at(self, time_s: float, view: View, sky: tuple[float, float, float] = OVERCAST) -> FallingRain | None:
+        """Return the rain of a moment; None at 0 mm/h. `sky` is the display colour of the scene's sky."""
+        rain = self.rain
         if self.state.intensity_mm_h == 0:
             return None
-        color = np.array(self.rain.drop_color or sky)
-        pieces: list[Gaussians] = []
-        drawn = 0
-        if self.rain.streaks:
-            drawn, streaks = self._streaks(time_s, view, color)
-            pieces.append(streaks)
-        hazes = self._haze(time_s, view, color) if self.rain.haze else Gaussians.empty()
-        pieces.append(hazes)
-        return RainGaussians(
-            Gaussians.concatenate(pieces),
-            srgb_to_linear(color).astype(np.float32),
-            self.rain.rain_light,
-            drawn,
-            len(hazes),
+        color = np.array(rain.drop_color or sky)
+        here, anchor = view.camera.position, view.anchor_to_world
+        return FallingRain(
+            streak_field=self.streak_field(time_s, view) if rain.streaks else None,
+            haze=make_haze(rain, self.state.haze_gaussians, time_s, anchor, here) if rain.haze else None,
+            haze_sigma_m=rain.haze_sigma_m,
+            color=color,
+            light_linear=srgb_to_linear(color).astype(np.float32),
+            mixing=rain.rain_light,
         )
 
     def drops_in_region(self, time_s: float, view: View) -> int:
         """Count the drops that are in the streak region at a moment, seen or not."""
-        cell = self._cell(time_s, view)
-        return count_in_region(cell.count, self.rain.seed, cell.where, cell.period_m, cell.culling)
-
-    def _streaks(self, time_s: float, view: View, color: Float64[np.ndarray, "3"]) -> tuple[int, Gaussians]:
-        cell = self._cell(time_s, view)
-        drops = find_drops(cell.count, self.rain.seed, cell.where, cell.period_m, cell.culling)
-        streaks = make_streaks(
-            cell.to_world(drops),
-            self.diameters_mm[drops.class_index],
-            self.motion.velocity(time_s)[drops.class_index],
-            Shutter(view.camera, view.velocity_m_s, self.exposure_s(view), self._focal(view)),
-            self.rain,
-        )
-        gaussians = Gaussians(
-            streaks.means, streaks.scales, streaks.quaternions, streaks.opacities, _sh(color, len(streaks.means))
-        )
-        return len(drops.numbers), gaussians
-
-    def _haze(self, time_s: float, view: View, color: Float64[np.ndarray, "3"]) -> Gaussians:
-        haze = make_haze(self.rain, self.state.haze_gaussians, time_s, view.anchor_to_world, view.camera.position)
-        n = len(haze.means)
-        upright = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
-        scales = np.full((n, 3), self.rain.haze_sigma_m, np.float32)
-        return Gaussians(haze.means, scales, upright, haze.opacities, _sh(color, n))
+        return self.streak_field(time_s, view).drops_in_region()
 
     def exposure_s(self, view: View) -> float:
         """Shutter time: the rain's own, else the camera's."""
@@ -118,7 +91,8 @@ class Rainfall:
     def _focal(self, view: View) -> float:
         return view.focal_px or float(np.sqrt(view.camera.fx * view.camera.fy))
 
-    def _cell(self, time_s: float, view: View) -> "_Cell":
+    def streak_field(self, time_s: float, view: View) -> StreakField:
+        """Place the cell of drops around a view at a moment."""
         region, turn = self.rain.streak_region, view.anchor_to_world[:3, :3]
         size = np.array(region.size_m)
         center = turn @ np.array(region.center_m) + view.anchor_to_world[:3, 3]
@@ -144,44 +118,36 @@ class Rainfall:
             far = self.rain.critical_haze_coefficient * visible_distance_m(self.diameters_mm, self._focal(view))
         else:
             far = np.full(len(self.diameters_mm), 1e6)
-        fastest = float(np.max(np.linalg.norm(self.motion.velocity(time_s) - view.velocity_m_s, axis=1)))
+        velocities = self.motion.velocity(time_s)
+        seen = velocities - view.velocity_m_s if self.rain.streak_frame == "camera" else velocities
+        lengths = np.linalg.norm(seen, axis=1) * self.exposure_s(view)
         culling = Culling(
             region_rotation=np.ascontiguousarray(turn[:2, :2].T @ axes[:2, :2]),
             region_half=size / 2,
             camera_position=axes.T @ (camera.position - center),
             cell_to_camera=np.ascontiguousarray(camera.world_to_camera[:3, :3] @ axes),
             slopes=slopes,
-            margin_m=2 * fastest * self.exposure_s(view) + 0.02,
-            reach=float(np.sqrt(1 + np.max(slopes[:2] ** 2) + np.max(slopes[2:] ** 2))),
+            class_margin_m=STREAK_REACH * lengths + 0.02,
             class_far_m=far,
         )
-        count = round(self.state.density_m3 * float(np.prod(period)))
-        return _Cell(count, where, period, axes, center, culling)
-
-
-@dataclass(frozen=True, eq=False)
-class _Cell:
-    """The periodic cell of a moment."""
-
-    count: int
-    where: Offsets
-    period_m: Float64[np.ndarray, "3"]
-    axes: Float64[np.ndarray, "3 3"]
-    center_m: Float64[np.ndarray, "3"]
-    culling: Culling
-
-    def to_world(self, drops: Drops) -> Float64[np.ndarray, "m 3"]:
-        return drops.positions(self.period_m) @ self.axes.T + self.center_m
+        return StreakField(
+            rain=self.rain,
+            count=round(self.state.density_m3 * float(np.prod(period))),
+            where=where,
+            period_m=period,
+            axes=axes,
+            center_m=center,
+            culling=culling,
+            diameters_mm=self.diameters_mm,
+            velocities_m_s=velocities,
+            shutter=Shutter(camera, view.velocity_m_s, self.exposure_s(view), self._focal(view)),
+        )
 
 
 def _wind(rain: Rain) -> Wind:
     if rain.streak_reset == "paper":  # its drops fall straight down
         return Wind()
     return Wind(rain.wind_m_s, rain.gust_m_s, rain.seed)
-
-
-def _sh(color: Float64[np.ndarray, "3"], count: int) -> Float32[np.ndarray, "n 1 3"]:
-    return np.broadcast_to(sh_from_color(color.astype(np.float32)[None]), (count, 1, 3)).copy()
 
 
 def mean_sky(colors: Float64[np.ndarray, "n 3"]) -> tuple[float, float, float]:

@@ -13,6 +13,10 @@ AXIS_RATIO_SLOPE, AXIS_RATIO_OFFSET = -0.07, 1.07
 """tau(D) = k D + b for 1 mm < D < 9 mm (paper, eq. 4)."""
 
 
+STREAK_REACH = 2.0
+"""No streak reaches farther from its drop than so many of its lengths (the outermost copy's last visible fragment)."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Streaks:
     """Streak Gaussians in the world: everything but their colour."""

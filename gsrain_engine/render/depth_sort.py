@@ -2,8 +2,9 @@
 
 import moderngl
 
+from .growing_buffer import GrowingBuffer
 from .shaders import load_compute_shader
-from .splat_store import SORT_GROUPS_OFFSET
+from .visible_scan import GROUPS_OFFSET
 
 KEY_BITS = 28
 DIGIT_BITS = 4
@@ -25,46 +26,37 @@ class DepthSort:
         self._count = load_compute_shader(context, "radix_count.comp")
         self._scan = load_compute_shader(context, "radix_scan.comp")
         self._scatter = load_compute_shader(context, "radix_scatter.comp")
-        self._capacity = 0
-        self._pairs: list[tuple[moderngl.Buffer, moderngl.Buffer]] = []
-        self._counts: moderngl.Buffer | None = None
+        self._pairs = [(GrowingBuffer(context), GrowingBuffer(context)) for _ in range(2)]
+        self._counts = GrowingBuffer(context)
 
     def reserve(self, capacity: int) -> None:
         """Make room for so many pairs."""
-        if capacity <= self._capacity:
-            return
-        for buffer in [each for pair in self._pairs for each in pair]:
-            buffer.release()
-        if self._counts is not None:
-            self._counts.release()
-        self._capacity = capacity
-        self._pairs = [
-            (self._context.buffer(reserve=4 * capacity), self._context.buffer(reserve=4 * capacity)) for _ in range(2)
-        ]
-        groups = -(-capacity // KEYS_BY_GROUP)
-        self._counts = self._context.buffer(reserve=4 * groups << DIGIT_BITS)
+        for keys, slots in self._pairs:
+            keys.reserve(4 * capacity)
+            slots.reserve(4 * capacity)
+        self._counts.reserve(4 * -(-capacity // KEYS_BY_GROUP) << DIGIT_BITS)
 
     @property
     def unsorted(self) -> tuple[moderngl.Buffer, moderngl.Buffer]:
         """Where keys and slots are to be written to."""
-        return self._pairs[0]
+        keys, slots = self._pairs[0]
+        return keys.buffer, slots.buffer
 
     def sort(self, work: moderngl.Buffer) -> moderngl.Buffer:
         """Sort by rising key; `work` is a store's: it holds the number of keys. Returns the sorted slots."""
-        assert self._counts is not None, "reserve room before sorting"
         here, there = self._pairs
         work.bind_to_storage_buffer(WORK)
-        self._counts.bind_to_storage_buffer(COUNTS)
+        self._counts.bind(COUNTS)
         for shift in range(0, KEY_BITS, DIGIT_BITS):
             for binding, buffer in zip((KEYS, SLOTS, SORTED_KEYS, SORTED_SLOTS), (*here, *there), strict=True):
-                buffer.bind_to_storage_buffer(binding)
+                buffer.bind(binding)
             self._count["shift"] = shift
             self._scatter["shift"] = shift
-            self._count.run_indirect(work, SORT_GROUPS_OFFSET)
+            self._count.run_indirect(work, GROUPS_OFFSET)
             self._context.memory_barrier()
             self._scan.run()
             self._context.memory_barrier()
-            self._scatter.run_indirect(work, SORT_GROUPS_OFFSET)
+            self._scatter.run_indirect(work, GROUPS_OFFSET)
             self._context.memory_barrier()
             here, there = there, here
-        return here[1]
+        return here[1].buffer

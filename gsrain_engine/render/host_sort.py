@@ -4,30 +4,25 @@ import moderngl
 import numpy as np
 from jaxtyping import UInt32
 
-from .splat_store import COUNT_OFFSET
+from .growing_buffer import GrowingBuffer
+from .visible_scan import COUNT_OFFSET
 
 
 class HostSort:
     """The same order as `DepthSort`, bit for bit."""
 
     def __init__(self, context: moderngl.Context) -> None:
-        self._context = context
-        self._capacity = 0
-        self._pairs: list[moderngl.Buffer] = []
+        self._keys, self._slots = GrowingBuffer(context), GrowingBuffer(context)
 
     def reserve(self, capacity: int) -> None:
         """Make room for so many pairs."""
-        if capacity > self._capacity:
-            for buffer in self._pairs:
-                buffer.release()
-            self._pairs = [self._context.buffer(reserve=4 * capacity) for _ in range(2)]
-            self._capacity = capacity
+        self._keys.reserve(4 * capacity)
+        self._slots.reserve(4 * capacity)
 
     @property
     def unsorted(self) -> tuple[moderngl.Buffer, moderngl.Buffer]:
         """Where keys and slots are to be written to."""
-        keys, slots = self._pairs
-        return keys, slots
+        return self._keys.buffer, self._slots.buffer
 
     def sort(self, work: moderngl.Buffer) -> moderngl.Buffer:
         """Sort by rising key; `work` is a store's: it holds the number of keys. Returns the sorted slots."""

@@ -1,24 +1,25 @@
-"""The first half of a frame on the GPU: Gaussians become splats, and those that can be seen move together."""
+"""The first half of a frame on the GPU: Gaussians and drops become splats, and those that can be seen move together."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
 
+from gsrain_engine.rain.falling_rain import FallingRain
 from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Part
 
-from .depth_sort import KEYS, SLOTS, DepthSort
+from .depth_sort import KEYS, KEYS_BY_GROUP, SLOTS, DepthSort
+from .drop_pass import DropPass, streak_slots
 from .gpu_arrays import CHUNK, SH_BITS, GpuArrays
 from .heat_colors import layer_color
 from .host_sort import HostSort
 from .look import Look
 from .shaders import load_compute_shader
-from .splat_store import SLOTS_BY_BLOCK, SplatStore
-
-NEAR_M = 0.2
-"""Gaussians whose centre is nearer than this are left out, as in the reference rasterizer."""
+from .splat_store import NEAR_M, SLOTS_BY_BLOCK, SplatStore
+from .visible_scan import VisibleScan
 
 _LOOKS: dict[Look, int] = {"points": 1, "normals": 2, "opacity": 3, "layers": 4}
 """Looks that change what a Gaussian is projected to; as in splat_project.comp."""
@@ -27,47 +28,71 @@ _LONGEST_DISPATCH = 1 << 15
 """Workgroups along one axis, half of what every driver allows."""
 
 
+class Slots(NamedTuple):
+    """What a frame takes of a store."""
+
+    all: int
+    fixed: int
+    """The first so many are Gaussians', the others streaks', of which only the GPU knows how many there are."""
+    copies: int
+    """Blocks that a group of drops fills."""
+
+
 class ProjectionPass:
     """Fills a store with the splats of a frame."""
 
     def __init__(self, context: moderngl.Context, arrays: GpuArrays) -> None:
         self._context = context
         self._arrays = arrays
-        self._scan = load_compute_shader(context, "visible_scan.comp")
+        self._scan = VisibleScan(context)
         self._gather = load_compute_shader(context, "visible_gather.comp")
         self._projectors: dict[tuple[int, ...], moderngl.ComputeShader] = {}
+        self.drops = DropPass(context)
 
     def project(
-        self, store: SplatStore, parts: Sequence[Part], camera: Camera, rain: RainGaussians | None, look: Look
-    ) -> int:
-        """Write the visible splats of parts and rain into the store; returns how many slots they have there."""
+        self,
+        store: SplatStore,
+        parts: Sequence[Part],
+        camera: Camera,
+        rain: FallingRain | RainGaussians | None,
+        look: Look,
+    ) -> Slots:
+        """Write the visible splats of parts and rain into the store."""
         rows = [(part, False) for part in parts]
+        field = rain.streak_field if isinstance(rain, FallingRain) else None
         if rain is not None:
-            rows.append((Part(rain.gaussians, np.eye(4)), True))
-        slots = sum(_slots(part.count) for part, _ in rows)
-        store.reserve(slots)
-        store.bind()
+            given = rain.haze_gaussians if isinstance(rain, FallingRain) else rain.gaussians
+            rows.append((Part(given, np.eye(4)), True))
+        fixed = sum(_slots(part.drawn_count) for part, _ in rows)
+        slots = Slots(fixed + (streak_slots(field) if field else 0), fixed, field.rain.max_copies if field else 0)
+        store.reserve(slots.all)
+        if field is not None:
+            self.drops.find(field)
         shader = self._projector(store)
-        _set_camera(shader, camera)
+        shader["intrinsics"] = (camera.fx, camera.fy, camera.cx, camera.cy)
+        shader["image_size"] = (camera.width, camera.height)
+        shader["near"] = NEAR_M
         shader["camera_to_world"] = tuple(camera.camera_to_world[:3, :3].T.ravel())
         shader["look"] = _LOOKS.get(look, 0)
+        store.bind()
         first = 0
         for number, (part, is_rain) in enumerate(rows):
             shader["layer_color"] = layer_color(number)
             shader["is_rain"] = is_rain
             self._dispatch(shader, part, camera, first)
-            first += _slots(part.count)
+            first += _slots(part.drawn_count)
+        if field is not None and rain is not None and isinstance(rain, FallingRain):
+            self.drops.project(store, field, rain.color, fixed)
         self._context.memory_barrier()
         return slots
 
-    def bring_together(self, store: SplatStore, sort: DepthSort | HostSort, slots: int) -> None:
+    def bring_together(self, store: SplatStore, sort: DepthSort | HostSort, slots: Slots) -> None:
         """Pack the keys of all visible splats into what the sort takes, and tell it and the draw how many they are."""
-        blocks = slots // SLOTS_BY_BLOCK
-        sort.reserve(max(slots, 1))
+        blocks = slots.all // SLOTS_BY_BLOCK
+        sort.reserve(max(slots.all, 1))
+        found = (self.drops.work, slots.fixed // SLOTS_BY_BLOCK, slots.copies) if slots.copies else None
+        self._scan.run(store.counts.buffer, store.work, blocks, by_group=KEYS_BY_GROUP, found=found)
         store.bind()
-        self._scan["blocks"] = blocks
-        self._scan.run()
-        self._context.memory_barrier()
         for binding, buffer in zip((KEYS, SLOTS), sort.unsorted, strict=True):
             buffer.bind_to_storage_buffer(binding)
         self._gather["blocks"] = blocks
@@ -81,7 +106,7 @@ class ProjectionPass:
         shader["object_to_camera"] = tuple(object_to_camera.T.ravel())
         shader["camera_in_object"] = tuple(np.linalg.inv(object_to_camera)[:3, 3])
         for index, chunk in enumerate(self._arrays.buffers(gaussians).chunks()):
-            count = min(CHUNK, part.count - index * CHUNK)
+            count = min(CHUNK, part.drawn_count - index * CHUNK)
             if count <= 0:
                 break
             for binding, buffer in enumerate(chunk):
@@ -96,12 +121,6 @@ class ProjectionPass:
         if key not in self._projectors:
             self._projectors[key] = load_compute_shader(self._context, "splat_project.comp", switches)
         return self._projectors[key]
-
-
-def _set_camera(shader: moderngl.ComputeShader, camera: Camera) -> None:
-    shader["intrinsics"] = (camera.fx, camera.fy, camera.cx, camera.cy)
-    shader["image_size"] = (camera.width, camera.height)
-    shader["near"] = NEAR_M
 
 
 def _slots(count: int) -> int:

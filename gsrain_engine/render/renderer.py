@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
+from gsrain_engine.rain.falling_rain import FallingRain
 from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Part
@@ -30,7 +31,7 @@ class Renderer(Protocol):
         self,
         parts: Sequence[Part],
         camera: Camera,
-        rain: RainGaussians | None = None,
+        rain: FallingRain | RainGaussians | None = None,
         *,
         with_depth: bool = False,
         look: Look = "splats",

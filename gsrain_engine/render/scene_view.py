@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from gsrain_engine.rain.rain_gaussians import RainGaussians
+from gsrain_engine.rain.falling_rain import FallingRain
 from gsrain_engine.rain.rainfall import Rainfall, View
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Scene
@@ -28,14 +28,14 @@ class Shot:
 
 def draw_shot(
     renderer: Renderer, scene: Scene, rainfall: Rainfall, sky: Color, shot: Shot, *, with_depth: bool = False
-) -> RainGaussians | None:
+) -> FallingRain | None:
     """Draw a scene in its rain into the renderer's picture; returns the rain that fell in it."""
     falling = rain_in(scene, rainfall, sky, shot)
     renderer.draw(scene.parts(shot.time_s), shot.camera, falling, with_depth=with_depth)
     return falling
 
 
-def rain_in(scene: Scene, rainfall: Rainfall, sky: Color, shot: Shot) -> RainGaussians | None:
+def rain_in(scene: Scene, rainfall: Rainfall, sky: Color, shot: Shot) -> FallingRain | None:
     """Rain of a shot as Gaussians; None at 0 mm/h."""
     return rainfall.at(shot.time_s, rain_view(scene, rainfall, shot), sky)
 

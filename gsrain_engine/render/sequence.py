@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from gsrain_engine.rain.rain_gaussians import RainGaussians
+from gsrain_engine.rain.falling_rain import FallingRain
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.camera_path import CameraPath
@@ -21,7 +21,7 @@ class RenderedFrame(NamedTuple):
 
     number: int
     frame: Frame
-    rain: RainGaussians | None
+    rain: FallingRain | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

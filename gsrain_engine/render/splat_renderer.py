@@ -7,6 +7,7 @@ import moderngl
 import numpy as np
 from jaxtyping import Float32
 
+from gsrain_engine.rain.falling_rain import FallingRain
 from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
@@ -21,9 +22,10 @@ from .host_sort import HostSort
 from .look import FARTHEST_M, MOST_FRAGMENTS, NEAREST_M, Look
 from .projection_pass import ProjectionPass
 from .shaders import Switches, load_program
-from .splat_store import COUNT_OFFSET, SplatStore
+from .splat_store import SplatStore
 from .statistics import RenderStatistics
 from .target import Target, TargetLayout
+from .visible_scan import COUNT_OFFSET
 
 _QUADS_BY_INSTANCE = 128
 """Splats an instance; instances of one quad would leave a GPU's vertex units idle. As in splat.vert."""
@@ -53,7 +55,8 @@ class SplatRenderer:
         self._dtype = "f2" if precision == "half" else "f4"
         self._projection = ProjectionPass(context, self.arrays)
         self._store = SplatStore(context)
-        self._sort = HostSort(context) if is_software(context) else DepthSort(context)
+        self._is_software = is_software(context)
+        self._sort = HostSort(context) if self._is_software else DepthSort(context)
         self._timers = GpuTimers(context)
         self._quads = context.buffer(_quad_indices().tobytes())
         self._programs: dict[tuple[object, ...], tuple[moderngl.Program, moderngl.VertexArray]] = {}
@@ -61,14 +64,11 @@ class SplatRenderer:
         self._picture: moderngl.Texture | None = None
         self._measured = RenderStatistics()
         self._drawn: RenderStatistics | None = None
+        self._makes_drops = False
 
     @property
     def statistics(self) -> RenderStatistics:
-        """What the last picture was made of, and the GPU's time a stage; waits until it is finished."""
-        if self._drawn is not None:
-            self._measured, self._drawn = self._drawn, None
-            self._measured.stages_ms |= self._timers.collect()
-            self._measured.splats_drawn = int(np.frombuffer(self._store.work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
+        """What the last picture was made of if it was read, else the one before it, so that nobody waits for the GPU."""
         return self._measured
 
     @property
@@ -81,7 +81,7 @@ class SplatRenderer:
         self,
         parts: Sequence[Part],
         camera: Camera,
-        rain: RainGaussians | None = None,
+        rain: FallingRain | RainGaussians | None = None,
         *,
         with_depth: bool = False,
         look: Look = "splats",
@@ -90,14 +90,13 @@ class SplatRenderer:
 
         `camera` is in the world (metres). Depth is the scene's own: rain takes no part in it.
         """
-        self._timers.collect()
+        self._take_stock()
         self._drawn = RenderStatistics(
-            gaussians=sum(part.count for part in parts), stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0}
+            gaussians=sum(part.drawn_count for part in parts), stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0}
         )
-        falling = rain if rain is not None and len(rain.gaussians) and look == "splats" else None
-        if falling is not None:
-            self._drawn.gaussians += len(falling.gaussians)
-            self._drawn.drops_drawn, self._drawn.haze_drawn = falling.drops_drawn, falling.haze_drawn
+        falling = rain if look == "splats" else None
+        self._drawn.haze_drawn = falling.haze_drawn if falling is not None else 0
+        self._makes_drops = isinstance(falling, FallingRain) and falling.streak_field is not None
         before = self.context.detect_framebuffer()
         with self._timers.stage("project"):
             slots = self._projection.project(self._store, parts, camera, falling, look)
@@ -111,9 +110,12 @@ class SplatRenderer:
             self._picture = self._resolve(look, light)
         before.use()
         self.arrays.release_unused()
+        if self._is_software:
+            self._take_stock()
 
     def read(self) -> Frame:
         """Fetch the last picture (and depth, if it was drawn) from the GPU."""
+        self._take_stock()
         rgba = self._fetch(self.picture)
         depth = self._targets["splats"].depth
         if depth is None:
@@ -124,6 +126,16 @@ class SplatRenderer:
     def upload(self, gaussians: Gaussians, slice_size: int = CHUNK // 16) -> Iterator[float]:
         """Bring Gaussians to the GPU ahead of their first frame, a slice at each step."""
         return self.arrays.upload(gaussians, slice_size)
+
+    def _take_stock(self) -> None:
+        """Ask the GPU what the last picture was made of."""
+        if self._drawn is None:
+            return
+        self._measured, self._drawn = self._drawn, None
+        self._measured.stages_ms |= self._timers.collect()
+        self._measured.splats_drawn = int(np.frombuffer(self._store.work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
+        if self._makes_drops:
+            self._measured.drops_drawn = self._projection.drops.found_count()
 
     def _fetch(self, texture: moderngl.Texture) -> Float32[np.ndarray, "h w c"]:
         width, height = texture.size
@@ -138,7 +150,7 @@ class SplatRenderer:
         target = self._target("splats", TargetLayout(size, self._dtype, linear_rain, with_depth))
         switches = {"LINEAR_RAIN": linear_rain, "WITH_DEPTH": with_depth}
         switches |= {"ELLIPSOIDS": look == "ellipsoids", "OVERDRAW": look == "overdraw"}
-        macros = {name: 1 for name, wanted in switches.items() if wanted} | self._store.switches
+        macros = {name: 1 for name, wanted in switches.items() if wanted} | dict(self._store.switches)
         program, vertices = self._program("splat.vert", "splat.frag", macros, self._quads)
         program["image_size"] = size
         target.framebuffer.use()

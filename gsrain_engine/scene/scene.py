@@ -88,7 +88,7 @@ class Part(NamedTuple):
     """Draw only the first so many of them; none draws all."""
 
     @property
-    def count(self) -> int:
+    def drawn_count(self) -> int:
         """How many are drawn."""
         return len(self.gaussians) if self.limit is None else min(self.limit, len(self.gaussians))
 

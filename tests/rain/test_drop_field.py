@@ -30,8 +30,7 @@ def culling(camera=(-1.0, 0.3, 0.2), far=2.0, yaw=0.4):
         camera_position=np.array(camera),
         cell_to_camera=np.array([[s, -c, 0.0], [0.0, 0.0, -1.0], [c, s, 0.0]]),
         slopes=np.array([-0.5, 0.6, -0.4, 0.3]),
-        margin_m=0.1,
-        reach=float(np.sqrt(1 + 0.36 + 0.16)),
+        class_margin_m=np.linspace(0.05, 0.1, CLASSES),
         class_far_m=np.linspace(0.5, far, CLASSES),
     )
 
@@ -77,7 +76,7 @@ def test_compiled_search_finds_what_the_reference_places(time_s):
     in_region = np.all(np.abs(p[:, :2] @ cull.region_rotation.T) <= cull.region_half[:2], axis=1)
     in_region &= np.abs(p[:, 2]) <= cull.region_half[2]
     u, v, depth = ((p - cull.camera_position) @ cull.cell_to_camera.T).T
-    m, s = cull.margin_m, cull.slopes
+    m, s = cull.class_margin_m[every.class_index], cull.slopes
     seen = in_region & (depth >= 0) & (depth <= cull.class_far_m[every.class_index])
     seen &= (u >= s[0] * depth - m) & (u <= s[1] * depth + m) & (v >= s[2] * depth - m) & (v <= s[3] * depth + m)
     assert seen.sum() > 50

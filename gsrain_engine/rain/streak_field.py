@@ -1,0 +1,55 @@
+"""The drops of one moment around one camera: everything from which a kernel or a shader makes their streaks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from .drop_field import Culling, Drops, Offsets, count_in_region, find_drops
+from .rain import Rain
+from .streaks import Shutter, Streaks
+from .visible_streaks import make_visible_streaks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StreakField:
+    """A periodic cell of drops, and the shutter through which they are seen. World frame, metres."""
+
+    rain: Rain
+    count: int
+    """Drops with numbers below this exist."""
+    where: Offsets
+    period_m: Float64[np.ndarray, "3"]
+    """Edges of the cell."""
+    axes: Float64[np.ndarray, "3 3"]
+    """Cell to world, a rotation."""
+    center_m: Float64[np.ndarray, "3"]
+    """Centre of the cell, and of the streak region, in the world."""
+    culling: Culling
+    diameters_mm: Float64[np.ndarray, " classes"]
+    velocities_m_s: Float64[np.ndarray, "classes 3"]
+    """Of the drops, in the world."""
+    shutter: Shutter
+
+    def drops(self) -> Drops:
+        """Drops that the camera may see."""
+        return find_drops(self.count, self.rain.seed, self.where, self.period_m, self.culling)
+
+    def drops_in_region(self) -> int:
+        """Count the drops in the streak region, seen or not."""
+        return count_in_region(self.count, self.rain.seed, self.where, self.period_m, self.culling)
+
+    def streaks(self, drops: Drops) -> Streaks:
+        """Turn drops into streak Gaussians in the world."""
+        positions = drops.positions(self.period_m) @ self.axes.T + self.center_m
+        c = drops.class_index
+        return make_visible_streaks(positions, self.diameters_mm[c], self.velocities_m_s[c], self.shutter, self.rain)
+
+    @property
+    def most_drops(self) -> int:
+        """More drops than the camera can see but by a chance of one in millions: room to reserve for them."""
+        left, right, top, bottom = np.abs(self.culling.slopes)
+        wide, high, far, margin = left + right, top + bottom, self.culling.class_far_m, self.culling.class_margin_m
+        volume = wide * high * far**3 / 3 + margin * (wide + high) * far**2 + 4 * margin**2 * far
+        expected = self.count * float(np.mean(np.minimum(volume / np.prod(self.period_m), 1.0)))
+        return min(self.count, int(1.1 * expected + 10 * np.sqrt(expected)) + 64)

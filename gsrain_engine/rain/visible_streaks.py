@@ -1,0 +1,97 @@
+"""The streaks that a camera can see, compiled: `make_streaks` without what lies outside the picture."""
+
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float64
+
+from .rain import Rain
+from .streaks import AXIS_RATIO_OFFSET, AXIS_RATIO_SLOPE, Shutter, Streaks
+
+_REACH = 4.8
+"""Standard deviations at which even alpha 1 has fallen below a streak's cut of 1/65536 (exp(-4.8^2 / 2))."""
+
+
+def make_visible_streaks(
+    positions_m: Float64[np.ndarray, "m 3"],
+    diameters_mm: Float64[np.ndarray, " m"],
+    velocities_m_s: Float64[np.ndarray, "m 3"],
+    shutter: Shutter,
+    rain: Rain,
+) -> Streaks:
+    """Turn drops into streak Gaussians as `make_streaks` does, in its order, and leave out what no pixel shows."""
+    camera, most = shutter.camera, rain.max_copies
+    rows = np.empty((len(positions_m) * most, 11), np.float32)
+    kept = np.zeros(len(rows), np.bool_)
+    edges = np.array([camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx])
+    edges = np.concatenate([edges, [camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy]])
+    moving = rain.streak_frame == "camera"
+    numbers = np.array(
+        [shutter.exposure_s, shutter.focal_px, rain.critical_haze_coefficient, rain.haze_opacity, rain.streak_gain]
+    )
+    _fill(
+        positions_m, diameters_mm, velocities_m_s, shutter.velocity_m_s if moving else np.zeros(3),
+        np.ascontiguousarray(camera.world_to_camera), camera.position, edges, numbers, most, rows, kept,
+    )  # fmt: skip
+    rows = rows[np.flatnonzero(kept)]
+    return Streaks(*(np.ascontiguousarray(rows[:, a:b]) for a, b in ((0, 3), (3, 6), (6, 10))), rows[:, 10].copy())
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _fill(positions, diameters, velocities, camera_velocity, world_to_camera, eye, edges, numbers, most, rows, kept):
+    exposure, focal, phi, haze_opacity, gain = numbers
+    chunk_size = 256
+    for chunk in numba.prange((len(positions) + chunk_size - 1) // chunk_size):
+        for m in range(chunk * chunk_size, min(len(positions), (chunk + 1) * chunk_size)):
+            diameter_mm = diameters[m]
+            diameter = 1e-3 * diameter_mm
+            vx = velocities[m, 0] - camera_velocity[0]
+            vy = velocities[m, 1] - camera_velocity[1]
+            vz = velocities[m, 2] - camera_velocity[2]
+            dx, dy, dz = positions[m, 0] - eye[0], positions[m, 1] - eye[1], positions[m, 2] - eye[2]
+            depth = world_to_camera[2, 0] * dx + world_to_camera[2, 1] * dy + world_to_camera[2, 2] * dz
+            distance = max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
+            speed = np.sqrt(vx * vx + vy * vy + vz * vz)
+            along_sight = (vx * dx + vy * dy + vz * dz) / distance
+            across = np.sqrt(max(speed * speed - along_sight * along_sight, 0.0))
+
+            alpha = min(1.0, diameter / max(across * exposure, 1e-12))
+            limit = focal * diameter
+            alpha *= min(1.0, limit / max(depth, 1e-9))
+            if depth > phi * limit:
+                alpha = haze_opacity
+            alpha = min(1.0, gain * alpha)
+            opacity = 1 - (1 - alpha) ** (1 / np.sqrt(2 * np.pi))
+
+            length = speed * exposure
+            ratio = AXIS_RATIO_SLOPE * diameter_mm + AXIS_RATIO_OFFSET if diameter_mm > 1 else 1.0
+            copies = int(min(max(np.rint(length / (ratio * diameter)), 1), most))
+            across_sigma = np.sqrt(np.pi / 32) * max(diameter, depth / focal)
+            along_sigma = max(length / copies, across_sigma)
+            reach = _REACH * along_sigma
+            # Half-way quaternion from +z; the sign of a streak's axis is free, so never turn by over 90 degrees.
+            scale = 1 / max(speed, 1e-9)
+            ax, ay, az = vx * scale, vy * scale, vz * scale
+            sign = -1.0 if az < 0 else 1.0
+            qw, qx, qy = 1 + sign * az, -sign * ay, sign * ax
+            norm = np.sqrt(qw * qw + qx * qx + qy * qy)
+            for copy in range(copies):
+                offset = (copy - (copies - 1) / 2) * (length / copies)
+                x, y, z = dx + offset * ax, dy + offset * ay, dz + offset * az
+                u = world_to_camera[0, 0] * x + world_to_camera[0, 1] * y + world_to_camera[0, 2] * z
+                v = world_to_camera[1, 0] * x + world_to_camera[1, 1] * y + world_to_camera[1, 2] * z
+                w = world_to_camera[2, 0] * x + world_to_camera[2, 1] * y + world_to_camera[2, 2] * z
+                wide = max(w + reach, 0.0)
+                if w < 0 or u < -edges[0] * wide - reach or u > edges[1] * wide + reach:
+                    continue
+                if v < -edges[2] * wide - reach or v > edges[3] * wide + reach:
+                    continue
+                n = m * most + copy
+                kept[n] = True
+                row = rows[n]
+                row[0], row[1], row[2] = x + eye[0], y + eye[1], z + eye[2]
+                row[3], row[4], row[5] = across_sigma, across_sigma, along_sigma
+                row[6], row[7], row[8], row[9] = qw / norm, qx / norm, qy / norm, 0.0
+                row[10] = opacity

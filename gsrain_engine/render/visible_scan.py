@@ -1,0 +1,46 @@
+"""From how many each block of 256 has to where each block's begin, and the indirect work that follows."""
+
+import moderngl
+
+from .shaders import load_compute_shader
+
+WORK_BYTES = 4 * 9
+"""The draw's command (5 numbers), how many there are, an indirect dispatch (3)."""
+
+COUNT_OFFSET, GROUPS_OFFSET = 20, 24
+"""Where the number and the dispatch stand in it, in bytes; the draw's command is first."""
+
+_COUNTS, _FOUND_WORK, _WORK = 5, 6, 7
+
+
+class VisibleScan:
+    """Runs visible_scan.comp."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._shader = load_compute_shader(context, "visible_scan.comp")
+
+    def run(
+        self,
+        counts: moderngl.Buffer,
+        work: moderngl.Buffer,
+        blocks: int,
+        *,
+        by_group: int,
+        most: int = 0xFFFFFFFF,
+        found: tuple[moderngl.Buffer, int, int] | None = None,
+    ) -> None:
+        """Scan the counts of blocks in place and fill in `work`.
+
+        `by_group` things, of `most` at most, go to a workgroup of the dispatch. `found` is the work of drops that were
+        found before, the first of their blocks, and how many blocks each of their groups fills: the others are empty.
+        """
+        found_work, fixed, copies = found or (work, blocks, 0)
+        for name, value in {
+            "blocks": blocks, "fixed_blocks": fixed, "found_copies": copies, "by_group": by_group, "most": most,
+        }.items():  # fmt: skip
+            self._shader[name] = value
+        for binding, buffer in ((_COUNTS, counts), (_FOUND_WORK, found_work), (_WORK, work)):
+            buffer.bind_to_storage_buffer(binding)
+        self._shader.run()
+        self._context.memory_barrier()

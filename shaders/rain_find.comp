@@ -1,0 +1,40 @@
+#version 430
+// Which drops the camera may see: one thread takes 32 drops of a class and gives a bit each. Most fail one test of their
+// place, and cost nothing more.
+
+layout(local_size_x = 256) in;
+
+#include "common_drop_field.glsl"
+
+layout(std430, binding = 2) writeonly buffer Found { uint found_masks[]; };
+layout(std430, binding = 5) writeonly buffer Counts { uint found_counts[]; };
+
+uniform uint count;           // drops with numbers below this exist
+uniform uint masks_by_class;
+uniform uint first_of_class;  // class c belongs to the drops c * this mod CLASSES, that plus CLASSES, and so on
+uniform mat2 cell_to_region;
+uniform vec3 region_half;     // m
+uniform vec4 slopes;          // edges of the view: lowest and highest x/z, lowest and highest y/z
+
+bool is_seen(uint i, uint c) {
+    vec3 p = in_cell(place(i, c));
+    if (abs(p.z) > region_half.z || any(greaterThan(abs(cell_to_region * p.xy), region_half.xy))) return false;
+    vec3 q = cell_to_camera * (p - camera_in_cell);
+    if (q.z < 0.0 || q.z > drop_classes[c].far) return false;
+    float margin = drop_classes[c].margin;
+    return q.x >= slopes.x * q.z - margin && q.x <= slopes.y * q.z + margin &&
+           q.y >= slopes.z * q.z - margin && q.y <= slopes.w * q.z + margin;
+}
+
+void main() {
+    uint at = gl_GlobalInvocationID.x, c = at / masks_by_class;
+    if (c >= CLASSES) return;
+    uint first = (at % masks_by_class) * 32u * CLASSES + c * first_of_class % CLASSES;
+    uint mask = 0u;
+    for (uint bit = 0u; bit < 32u; ++bit) {
+        uint i = first + bit * CLASSES;
+        if (i < count && is_seen(i, c)) mask |= 1u << bit;
+    }
+    found_masks[at] = mask;
+    found_counts[at] = uint(bitCount(mask));
+}

@@ -1,0 +1,76 @@
+#version 430
+// Makes the streak Gaussians of the drops that were found, and projects them. One thread a drop; gsrain_engine/rain/
+// streaks.py is the readable form (paper, eq. 4-7 and 10-12).
+
+layout(local_size_x = 256) in;
+
+#include "common_projection.glsl"
+#include "common_drop_field.glsl"
+
+layout(std430, binding = 2) readonly buffer Found { uint found_masks[]; };
+layout(std430, binding = 3) readonly buffer Places { uint found_places[]; };  // scanned counts
+layout(std430, binding = 6) readonly buffer FoundWork { uint unused[5]; uint found_count; };
+
+uniform uint first_of_class;  // class c belongs to the drops c * this mod CLASSES, that plus CLASSES, and so on
+uniform uint masks_by_class;
+uniform float exposure;       // s
+uniform float focal;          // px, of the output image
+uniform float phi, haze_opacity, gain;
+uniform uint max_copies;
+uniform uint most_drops;
+uniform vec3 display_color;
+
+const float PI = 3.14159265358979;
+
+// The n-th drop that was found: its class, and its number.
+uint find_class(uint n, out uint i) {
+    uint low = 0u, high = masks_by_class * CLASSES;
+    while (high - low > 1u) {
+        uint middle = (low + high) / 2u;
+        if (found_places[middle] <= n) low = middle; else high = middle;
+    }
+    uint mask = found_masks[low], c = low / masks_by_class;
+    for (uint skip = n - found_places[low]; skip > 0u; --skip) mask &= mask - 1u;
+    i = ((low % masks_by_class) * 32u + uint(findLSB(mask))) * CLASSES + c * first_of_class % CLASSES;
+    return c;
+}
+
+void main() {
+    uint n = gl_GlobalInvocationID.x;
+    bool there = n < min(found_count, most_drops);
+    vec3 p = vec3(0.0), direction = vec3(0.0, 0.0, 1.0);
+    float opacity = 0.0, across_sigma = 0.0, along_sigma = 0.0, spacing = 0.0;
+    uint copies = 0u;
+    if (there) {
+        uint i, c = find_class(n, i);
+        p = cell_to_camera * (in_cell(place(i, c)) - camera_in_cell);
+        float diameter = drop_classes[c].diameter;
+        vec3 seen = vec3(drop_classes[c].velocity[0], drop_classes[c].velocity[1], drop_classes[c].velocity[2]);
+        vec3 sight = p / max(length(p), 1e-9);
+        float across = length(seen - dot(seen, sight) * sight), speed = length(seen), limit = focal * diameter;
+        float alpha = min(1.0, diameter / max(across * exposure, 1e-12)) * min(1.0, limit / max(p.z, 1e-9));
+        if (p.z > phi * limit) alpha = haze_opacity;
+        alpha = min(1.0, gain * alpha);
+        // Copies overlap: their opacities would add up to sqrt(2 pi) alpha.
+        opacity = 1.0 - pow(1.0 - alpha, inversesqrt(2.0 * PI));
+        float ratio = diameter > 1e-3 ? -70.0 * diameter + 1.07 : 1.0, streak = speed * exposure;
+        copies = uint(clamp(roundEven(streak / (ratio * diameter)), 1.0, float(max_copies)));
+        spacing = streak / float(copies);
+        across_sigma = sqrt(PI / 32.0) * max(diameter, p.z / focal);
+        along_sigma = max(spacing, across_sigma);
+        direction = seen / max(speed, 1e-9);
+    }
+    vec3 side = normalize(abs(direction.x) < 0.7 ? cross(direction, vec3(1, 0, 0)) : cross(direction, vec3(0, 1, 0)));
+    mat3 axes = mat3(across_sigma * side, across_sigma * cross(direction, side), along_sigma * direction);
+    for (uint copy = 0u; copy < max_copies; ++copy) {
+        Splat splat;
+        bool visible = false;
+        if (copy < copies) {
+            vec3 center = p + (float(copy) - 0.5 * float(copies - 1u)) * spacing * direction;
+            visible = project(center, axes, opacity, true, false, splat);
+            if (visible) set_color(splat, display_color);
+        }
+        emit(visible, splat, gl_WorkGroupID.x * max_copies + copy);
+        barrier();
+    }
+}

@@ -1,0 +1,92 @@
+"""Drops on the GPU: the same places to the bit, the same drops, the same picture as from the compiled kernels."""
+
+from importlib import resources
+
+import msgspec
+import numpy as np
+import pytest
+
+from gsrain_engine.rain.drop_field import CLASS_STRIDE, drops_at
+from gsrain_engine.rain.drop_sizes import CLASSES
+from gsrain_engine.rain.presets import load_preset
+from gsrain_engine.rain.rain_gaussians import RainGaussians
+from gsrain_engine.rain.rainfall import Rainfall, View
+from gsrain_engine.render.drop_pass import DropPass, class_rows
+from gsrain_engine.render.splat_renderer import SplatRenderer
+from gsrain_engine.scene.camera import Camera, look_at
+
+EYE = np.array([3.0, -2.0, 1.5])
+CAMERA = Camera.from_fov(320, 200, 45.0, look_at(EYE, EYE + np.array([1, 0.2, 0.1]), np.array([0, 0, 1.0])))
+ANCHOR = np.eye(4)
+ANCHOR[:3, 3] = EYE
+
+
+def falling(time_s=12.3, velocity=(9.0, 1.0, 0.0), **changes):
+    rain = msgspec.structs.replace(load_preset("8.5"), wind_m_s=(2.0, -1.0), seed=3, **changes)
+    return Rainfall.start(rain).at(time_s, View(CAMERA, ANCHOR, np.array(velocity)))
+
+
+def test_every_drop_is_at_the_same_place_to_the_bit(context):
+    field = falling().streak_field
+    body = resources.files("shaders").joinpath("common_drop_field.glsl").read_text()
+    shader = context.compute_shader(f"""#version 430
+        layout(local_size_x = 256) in;
+        {body}
+        layout(std430, binding = 2) writeonly buffer Out {{ uint placed[]; }};
+        void main() {{
+            uint i = gl_GlobalInvocationID.x;
+            uvec3 p = place(i, i * {CLASS_STRIDE}u % CLASSES);
+            placed[3u * i] = p.x; placed[3u * i + 1u] = p.y; placed[3u * i + 2u] = p.z;
+        }}""")
+    count = 40 * CLASSES
+    rows, placed = context.buffer(class_rows(field)), context.buffer(reserve=12 * count)
+    rows.bind_to_storage_buffer(1)
+    placed.bind_to_storage_buffer(2)
+    shader["seed"] = field.rain.seed
+    shader.run(count // 256)
+    ours = np.frombuffer(placed.read(), np.uint32).reshape(-1, 3)
+    np.testing.assert_array_equal(ours, drops_at(np.arange(count), field.rain.seed, field.where).fractions)
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"intensity_mm_h": 0.05}, {"streak_reset": "paper"}, {"far_drops": "published"}]
+)
+def test_finds_the_drops_that_the_compiled_search_finds(context, changes):
+    field = falling(**changes).streak_field
+    drops = DropPass(context)
+    drops.find(field)
+    expected, found = set(field.drops().numbers.tolist()), drops.found().tolist()
+    assert len(found) == len(set(found)) == drops.found_count() <= field.most_drops
+    assert len(expected) > 0
+    assert len(expected ^ set(found)) <= 0.002 * len(expected)  # float32 decides at the edges
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {}, {"exposure_s": 0.05}, {"rain_light": "display"}, {"streak_frame": "world"}, {"far_drops": "published"},
+        {"streak_reset": "paper"}, {"max_copies": 1}, {"streak_gain": 20.0},
+    ],
+)  # fmt: skip
+def test_draws_what_the_compiled_kernels_make(context, changes):
+    renderer = SplatRenderer(context)
+    rain = falling(**changes)
+    renderer.draw([], CAMERA, rain)
+    made_there, statistics = renderer.read().rgba, renderer.statistics
+    given = RainGaussians(rain.gaussians, rain.light_linear, rain.mixing, rain.drops_drawn, rain.haze_drawn)
+    renderer.draw([], CAMERA, given)
+    made_here = renderer.read().rgba
+    assert np.linalg.norm(made_here) > 1
+    assert np.linalg.norm(made_there - made_here) < 2e-3 * np.linalg.norm(made_here)
+    assert statistics.drops_drawn == pytest.approx(rain.drops_drawn, rel=2e-3)
+    assert statistics.haze_drawn == rain.haze_drawn > 0
+
+
+def test_rain_comes_and_goes_in_one_renderer(context):
+    """Fewer drops than in the frame before leave none of its streaks behind."""
+    renderer = SplatRenderer(context)
+    for rain in (falling(), falling(intensity_mm_h=0.3), None, falling(streaks=False)):
+        renderer.draw([], CAMERA, rain)
+        again = SplatRenderer(context)
+        again.draw([], CAMERA, rain)
+        assert renderer.read().rgba.tobytes() == again.read().rgba.tobytes()
