@@ -13,6 +13,7 @@ from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.render.backends import Backend, open_renderer
 from gsrain_engine.render.frame_sink import FrameSink, open_sink
+from gsrain_engine.render.look import Look
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.camera import Camera, read_camera
@@ -92,6 +93,9 @@ def render(
     time: Annotated[float, Parameter(help="Moment of the first frame in seconds.")] = 0.0,
     frame: Annotated[int | None, Parameter(help="Render only this frame of the sequence, counted from 0.")] = None,
     depth: Annotated[bool, Parameter(help="Write depth beside each PNG (16 bit, cm) or NPY (m).")] = False,
+    look: Annotated[
+        Look, Parameter(help="What to show: the picture (splats), or without rain what it is made of.")
+    ] = "splats",
     wet: Annotated[bool, Parameter(help="First give the scene a wet look, as the window's preview job does.")] = False,
     up: Annotated[
         Literal["x", "-x", "y", "-y", "z", "-z"] | None,
@@ -114,7 +118,7 @@ def render(
     sequence = FrameSequence(opened, falling, viewpoint, width, height, fps, time)
     numbers = _frame_numbers(output, sequence, duration, frame)
     with open_renderer(backend) as renderer, open_sink(output, width, height, fps, with_depth=depth) as sink:
-        report = _render(renderer, sequence, numbers, sink, depth)
+        report = _render(renderer, sequence, numbers, sink, depth, look)
     written = " and ".join(str(path) for path in sink.written)
     print(f"{written}: {report['frames']} of {len(numbers)} frames, {width}x{height}, {_describe(falling)}")
     write_numbers(json, report | {"backend": renderer.name})
@@ -122,7 +126,7 @@ def render(
 
 
 def _render(
-    renderer: Renderer, sequence: FrameSequence, numbers: list[int], sink: FrameSink, depth: bool
+    renderer: Renderer, sequence: FrameSequence, numbers: list[int], sink: FrameSink, depth: bool, look: Look
 ) -> dict[str, object]:
     """Render frames into a sink; Ctrl-C ends it early and leaves what is there."""
     started, done = time.perf_counter(), 0
@@ -130,7 +134,7 @@ def _render(
     with progress_bar("Rendering", len(numbers)) as advance:
         try:
             sky = sequence.sky(renderer)
-            for rendered in sequence.render(renderer, numbers, sky, with_depth=depth):
+            for rendered in sequence.render(renderer, numbers, sky, with_depth=depth, look=look):
                 sink.write(rendered.number, rendered.frame)
                 done += 1
                 advance()

@@ -56,12 +56,21 @@ class DropPass:
         shader, shutter, wishes = self._shader(store), field.shutter, field.rain
         camera = shutter.camera
         self._set_field(shader, field)
-        for name, value in {
-            "exposure": shutter.exposure_s, "focal": shutter.focal_px, "phi": wishes.critical_haze_coefficient, "haze_opacity": wishes.haze_opacity,
-            "gain": wishes.streak_gain, "max_copies": wishes.max_copies, "most_drops": field.most_drops,
-            "display_color": tuple(display_color), "intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy),
-            "image_size": (camera.width, camera.height), "near": NEAR_M, "first_slot": first_slot,
-        }.items():  # fmt: skip
+        values = {
+            "exposure": shutter.exposure_s,
+            "focal": shutter.focal_px,
+            "phi": wishes.critical_haze_coefficient,
+            "haze_opacity": wishes.haze_opacity,
+            "gain": wishes.streak_gain,
+            "max_copies": wishes.max_copies,
+            "most_drops": field.most_drops,
+            "display_color": tuple(display_color),
+            "intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy),
+            "image_size": (camera.width, camera.height),
+            "near": NEAR_M,
+            "first_slot": first_slot,
+        }
+        for name, value in values.items():
             shader[name] = value
         store.bind()
         self._bind(_PLACES)

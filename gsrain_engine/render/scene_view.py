@@ -11,6 +11,7 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Scene
 
 from .frame import Color
+from .look import Look
 from .renderer import Renderer
 
 
@@ -27,12 +28,18 @@ class Shot:
 
 
 def draw_shot(
-    renderer: Renderer, scene: Scene, rainfall: Rainfall, sky: Color, shot: Shot, *, with_depth: bool = False
-) -> FallingRain | None:
-    """Draw a scene in its rain into the renderer's picture; returns the rain that fell in it."""
-    falling = rain_in(scene, rainfall, sky, shot)
-    renderer.draw(scene.parts(shot.time_s), shot.camera, falling, with_depth=with_depth)
-    return falling
+    renderer: Renderer,
+    scene: Scene,
+    rainfall: Rainfall,
+    sky: Color,
+    shot: Shot,
+    *,
+    with_depth: bool = False,
+    look: Look = "splats",
+) -> None:
+    """Draw a scene in its rain into the renderer's picture, or with another look without it."""
+    falling = rain_in(scene, rainfall, sky, shot) if look == "splats" else None
+    renderer.draw(scene.parts(shot.time_s), shot.camera, falling, with_depth=with_depth, look=look)
 
 
 def rain_in(scene: Scene, rainfall: Rainfall, sky: Color, shot: Shot) -> FallingRain | None:

@@ -4,13 +4,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from gsrain_engine.rain.falling_rain import FallingRain
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 
 from .frame import Frame
+from .look import Look
 from .renderer import Renderer
 from .scene_view import Shot, draw_shot
 from .sky_color import Sky, sky_color
@@ -21,7 +21,6 @@ class RenderedFrame(NamedTuple):
 
     number: int
     frame: Frame
-    rain: FallingRain | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,9 +54,16 @@ class FrameSequence:
         return sky_color(renderer, self.scene, place)
 
     def render(
-        self, renderer: Renderer, numbers: Iterable[int], sky: Sky, *, with_depth: bool = False
+        self,
+        renderer: Renderer,
+        numbers: Iterable[int],
+        sky: Sky,
+        *,
+        with_depth: bool = False,
+        look: Look = "splats",
     ) -> Iterator[RenderedFrame]:
         """Render frames by their numbers, in any order."""
         for number in numbers:
-            rain = draw_shot(renderer, self.scene, self.rainfall, sky.color, self.shot(number), with_depth=with_depth)
-            yield RenderedFrame(number, renderer.read(), rain)
+            shot = self.shot(number)
+            draw_shot(renderer, self.scene, self.rainfall, sky.color, shot, with_depth=with_depth, look=look)
+            yield RenderedFrame(number, renderer.read())

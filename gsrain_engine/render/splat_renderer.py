@@ -68,7 +68,7 @@ class SplatRenderer:
 
     @property
     def statistics(self) -> RenderStatistics:
-        """What the last picture was made of if it was read, else the one before it, so that nobody waits for the GPU."""
+        """What the last picture was made of if it was read, else the one before: nobody waits for the GPU."""
         return self._measured
 
     @property

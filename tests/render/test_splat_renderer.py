@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -163,20 +165,40 @@ def test_thin_streaks_keep_their_integral(renderer):
     assert frame.rgba[..., 3].sum() == pytest.approx(2 * np.pi * 0.5 * (25 * 1e-4) * (25 * 0.1), rel=0.03)
 
 
-extremes = st.sampled_from([0.0, 1e-30, 1e-6, 1.0, 1e4, 1e30, float("inf"), float("nan")])
+NAN, INF = float("nan"), float("inf")
+extents = st.sampled_from([0.0, 1e-30, 1e-6, 1e-3, 1.0, 10.0, 1e4, 1e30, INF, NAN])
+places = st.sampled_from([-1e30, -1e6, -1.0, 0.0, 0.1999, 0.2, 0.2001, 3.0, 1e6, 1e30, NAN, INF])
+alphas = st.sampled_from([0.0, 1e-6, 1 / 255, 0.5, 1.0, NAN])
+turns = st.sampled_from([-1.0, 0.0, 0.5, 1.0, NAN])
+colors = st.sampled_from([-1e30, -1.0, 0.0, 1.0, 1e4, 1e30, NAN, INF])
 
 
 @given(
-    st.tuples(*[st.sampled_from([-1e6, -1.0, 0.0, 0.2, 0.2001, 3.0, 1e6, float("nan"), float("inf")])] * 3),
-    st.tuples(extremes, extremes, extremes),
-    st.sampled_from([0.0, 1e-6, 0.5, 1.0, float("nan")]),
-)
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_degenerate_gaussians_leave_the_picture_finite(renderer, mean, scales, opacity):
-    good = gaussians([[0, 0, 2.0]])
-    bad = gaussians([mean], scales, opacity)
-    frame = draw(renderer, Gaussians.concatenate([good, bad]))
-    assert np.isfinite(frame.rgba).all()
+    st.tuples(places, places, places), st.tuples(extents, extents, extents), alphas, st.tuples(*[turns] * 4), colors,
+)  # fmt: skip
+@settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_degenerate_gaussians_leave_the_picture_finite_and_the_same(renderer, mean, scales, opacity, turn, color):
+    good = gaussians([[0, 0, 2.0], [0.3, 0.1, 4.0]])
+    bad = gaussians([mean], scales, opacity, (color,) * 3)
+    bad = dataclasses.replace(bad, quaternions=np.array([turn], np.float32))
+    both = Gaussians.concatenate([bad, good])
+    first, drawn = draw(renderer, both, with_depth=True), renderer.statistics.splats_drawn
+    assert np.isfinite(first.rgba).all()
+    assert np.isfinite(first.depth).all()
+    assert draw(renderer, both, with_depth=True).rgba.tobytes() == first.rgba.tobytes()
+    if drawn == len(good):
+        assert first.rgba.tobytes() == draw(renderer, good).rgba.tobytes()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_needles_of_1_to_10000_are_as_thin_as_a_pixel(renderer, axis):
+    """Along x or y a needle crosses the picture, no thicker than its dilation; along z it is a dot."""
+    scales = [1e-3, 1e-3, 1e-3]
+    scales[axis] = 10.0
+    alpha = draw(renderer, gaussians([0.01, 0.01, 5.0], scales, 1.0)).rgba[..., 3]
+    columns, rows = (alpha > 0.02).any(axis=0).sum(), (alpha > 0.02).any(axis=1).sum()
+    assert (columns, rows) == {0: (64, rows), 1: (columns, 48), 2: (columns, rows)}[axis]
+    assert (rows if axis == 0 else columns) <= 6
 
 
 def with_blocks_of(context, monkeypatch, slots):
