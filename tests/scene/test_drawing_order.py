@@ -1,0 +1,114 @@
+"""Drawing order: a permutation in levels of falling contribution, neighbours side by side."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from gsrain_engine.scene.drawing_order import drawing_order, in_drawing_order, level_ends, put_into_drawing_order
+from gsrain_engine.scene.gaussians import Gaussians
+
+NUMBERS = st.one_of(st.sampled_from([0.0, 1e-30, 1e30, 1.0]), st.floats(0, 10, width=32))
+
+
+def random_gaussians(count, degree=1, seed=0):
+    r = np.random.default_rng(seed)
+    quaternions = r.normal(size=(count, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    numbers = (
+        r.normal(size=(count, 3)),
+        np.exp(r.normal(-3, 1, (count, 3))),
+        quaternions,
+        r.uniform(0, 1, count),
+        r.normal(size=(count, (degree + 1) ** 2, 3)),
+    )
+    return Gaussians(*(each.astype(np.float32) for each in numbers))
+
+
+@st.composite
+def odd_gaussians(draw):
+    """Up to 40 Gaussians, many of them equal, flat, transparent or huge."""
+    n = draw(st.integers(0, 40))
+    few = random_gaussians(n)
+    scales = draw(arrays(np.float32, (n, 3), elements=NUMBERS.map(np.float32)))
+    opacities = draw(arrays(np.float32, n, elements=st.sampled_from([0.0, 0.5, 1.0])))
+    means = draw(arrays(np.float32, (n, 3), elements=st.floats(-(2.0**100), 2.0**100, width=32)))
+    return Gaussians(means, scales, few.quaternions, opacities, few.sh)
+
+
+def contributions(gaussians):
+    a, b, c = gaussians.scales.astype(np.float64).T
+    values = (gaussians.opacities * (a * b + b * c + c * a)).astype(np.float32)
+    return np.where(np.isfinite(values), values, 0)
+
+
+def arrays_of(gaussians):
+    return {field.name: getattr(gaussians, field.name) for field in fields(gaussians)}
+
+
+@given(odd_gaussians())
+def test_levels_hold_everything_once_and_what_contributes_most_first(gaussians):
+    with np.errstate(over="ignore"):
+        values = contributions(gaussians)
+    order = drawing_order(gaussians)
+    assert sorted(order) == list(range(len(gaussians)))
+    np.testing.assert_array_equal(order, drawing_order(gaussians))
+    ends = level_ends(len(gaussians))
+    assert ends[-1] == len(gaussians)
+    for end in ends:
+        here, rest = order[:end], order[end:]
+        if len(here) and len(rest):
+            assert values[here].min() >= values[rest].max()
+            tied = np.flatnonzero(values == values[rest].max())
+            assert set(tied[: np.isin(tied, here).sum()]) <= set(here)  # equals keep their order
+
+
+@given(odd_gaussians())
+def test_in_place_is_the_same_order(gaussians):
+    expected = in_drawing_order(gaussians)
+    own = Gaussians(**{name: array.copy() for name, array in arrays_of(gaussians).items()})
+    put_into_drawing_order(own)
+    for name, array in arrays_of(expected).items():
+        np.testing.assert_array_equal(array, getattr(own, name))
+
+
+@pytest.mark.parametrize("field", ["means", "scales", "opacities"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_is_ordered_too(field, value):
+    values = arrays_of(random_gaussians(100))
+    values[field][3] = value
+    order = drawing_order(Gaussians(**values))
+    assert sorted(order) == list(range(100))
+    if field != "means":
+        assert 3 in order[level_ends(100)[-2] :]
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_a_few_are_ordered(count):
+    gaussians = random_gaussians(count, degree=3)
+    assert sorted(drawing_order(gaussians)) == list(range(count))
+    put_into_drawing_order(gaussians)
+    assert len(gaussians) == count
+
+
+def test_a_level_is_a_path_through_space():
+    gaussians = in_drawing_order(random_gaussians(8000))
+    first = gaussians.means[: level_ends(8000)[0]]
+    step = np.linalg.norm(np.diff(first, axis=0), axis=1).mean()
+    shuffled = np.random.default_rng(1).permutation(first)
+    assert step < 0.35 * np.linalg.norm(np.diff(shuffled, axis=0), axis=1).mean()
+
+
+def test_an_ordered_set_stays_as_it_is():
+    ordered = in_drawing_order(random_gaussians(5000))
+    np.testing.assert_array_equal(drawing_order(ordered), np.arange(5000))
+
+
+def test_arrays_that_must_not_be_written_are_refused():
+    gaussians = random_gaussians(5)
+    gaussians.scales.flags.writeable = False
+    with pytest.raises(ValueError, match="scales must be contiguous and writable"):
+        put_into_drawing_order(gaussians)
