@@ -13,12 +13,12 @@ JsonFile = Annotated[Path | None, Parameter(name="--json", help="Write the repor
 _SIZE = re.compile(r"(\d+)x(\d+)")
 
 
-def parse_size(text: str) -> tuple[int, int]:
+def parse_size(text: str, option: str = "--size") -> tuple[int, int]:
     """Turn "960x640" into (960, 640)."""
     match = _SIZE.fullmatch(text)
     size = (int(match[1]), int(match[2])) if match else (0, 0)
     if not all(1 <= side <= 16384 for side in size):
-        raise ValueError(f"--size {text}: expected WIDTHxHEIGHT with both within 1..16384, such as 960x640")
+        raise ValueError(f"{option} {text}: expected WIDTHxHEIGHT with both within 1..16384, such as 960x640")
     return size
 
 

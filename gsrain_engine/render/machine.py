@@ -1,0 +1,30 @@
+"""What measurements were made on."""
+
+import os
+import platform
+from importlib import metadata
+from pathlib import Path
+
+import numba
+
+_PACKAGES = ("numpy", "numba", "moderngl")
+
+
+def machine() -> dict[str, str | int]:
+    """Name the processor, the operating system, and the versions that speed depends on."""
+    return {
+        "cpu": processor(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
+        "threads": numba.get_num_threads(),
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+        **{name: metadata.version(name) for name in _PACKAGES},
+    }
+
+
+def processor() -> str:
+    """Name the processor as its maker does."""
+    listing = Path("/proc/cpuinfo")  # Linux; elsewhere Python knows the name itself
+    lines = listing.read_text().splitlines() if listing.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()

@@ -1,0 +1,96 @@
+"""`gsrain bench render` on tiny scenes: every row, every number, what follows from them, and bad input."""
+
+import json
+
+import pytest
+
+from app.command_line import BAD_INPUT, run
+from gsrain_engine.scene.formats import write_scene
+from small_scene import small_scene
+
+SMALL = {"--sizes": "48x32", "--frames": "2", "--backends": "cpu"}
+ROW = {
+    *("scene", "backend", "width", "height", "splats", "intensity_mm_h", "frame_ms_median", "stages_ms"),
+    *("gaussians", "frames", "frame_ms_min", "frame_ms_max", "ns_per_splat", "drops_drawn", "haze_gaussians"),
+}
+"""Of each row, at least; the first eight are the contract."""
+
+
+def bench(**options):
+    named = SMALL | {f"--{name}": str(value) for name, value in options.items()}
+    return run(["bench", "render", *(word for option in named.items() for word in option)])
+
+
+def benched(tmp_path, **options):
+    file = tmp_path / "bench.json"
+    assert bench(**options, json=file) == 0
+    return json.loads(file.read_text())
+
+
+def test_rows_say_what_was_timed(tmp_path, capsys):
+    scene = tmp_path / "small"
+    write_scene(small_scene(), scene)
+    report = benched(tmp_path, scenes=f"random-2k,{scene}", rain="0,8.5")
+    rows = report["rows"]
+    assert [(row["scene"], row["intensity_mm_h"]) for row in rows] == [
+        ("random-2k", 0), ("random-2k", 8.5), ("small", 0), ("small", 8.5)]  # fmt: skip
+    for row in rows:
+        assert set(row) >= ROW
+        assert (row["backend"], row["width"], row["height"], row["frames"]) == ("cpu", 48, 32, 2)
+        assert 0 < row["frame_ms_min"] <= row["frame_ms_median"] <= row["frame_ms_max"]
+        assert {"project", "sort", "draw", "read"} <= set(row["stages_ms"])
+        assert row["ns_per_splat"] == pytest.approx(1e6 * row["frame_ms_median"] / row["splats"])
+    clear, rainy = rows[:2]
+    assert clear["gaussians"] == rainy["gaussians"] == 2000
+    assert 1500 < clear["splats"] <= 2000
+    assert clear["drops_drawn"] == clear["haze_gaussians"] == 0 < rainy["haze_gaussians"]
+    assert rainy["splats"] > clear["splats"]
+    assert report["fits"] == []
+    assert [(cost["scene"], cost["intensity_mm_h"]) for cost in report["rain_costs"]] == [
+        ("random-2k", 8.5), ("small", 8.5)]  # fmt: skip
+    expected = rainy["frame_ms_median"] / clear["frame_ms_median"] - 1
+    assert report["rain_costs"][0]["share"] == pytest.approx(expected)
+    assert set(report["machine"]["devices"]) == {"cpu"}
+    assert "random-2k" in capsys.readouterr().out
+
+
+def test_a_line_goes_through_three_scenes_of_a_size(tmp_path):
+    scenes = "random-500,random-2k,random-6k"
+    report = benched(tmp_path, scenes=scenes, rain=0, sizes="48x32,24x16")
+    assert [(row["width"], row["gaussians"]) for row in report["rows"]] == [
+        (48, 500), (24, 500), (48, 2000), (24, 2000), (48, 6000), (24, 6000)]  # fmt: skip
+    assert [(fit["backend"], fit["width"], fit["scenes"]) for fit in report["fits"]] == [("cpu", 24, 3), ("cpu", 48, 3)]
+    for fit in report["fits"]:
+        assert 0 <= fit["r2"] <= 1
+        middle = fit["intercept_ms"] + 1e-6 * fit["slope_ns_per_gaussian"] * (500 + 2000 + 6000) / 3
+        times = [row["frame_ms_median"] for row in report["rows"] if row["width"] == fit["width"]]
+        assert middle == pytest.approx(sum(times) / 3)
+
+
+def test_a_dash_prints_the_json_alone(capsys):
+    assert bench(scenes="random-500", rain=0, json="-") == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["rows"][0]["gaussians"] == 500
+    assert "random-500" in said.err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"frames": "0"}, "--frames 0: must be within"),
+        ({"backends": "vulkan"}, "--backends vulkan: expected auto, opengl, cpu, cuda"),
+        ({"sizes": "48x32,7"}, "--sizes 7: expected WIDTHxHEIGHT"),
+        ({"rain": "1,,2"}, "--rain '1,,2': expected values with single commas"),
+        ({"rain": "much"}, "--rain much: expected intensities"),
+        ({"rain": "101"}, "<= 100.0 - at `$.intensity_mm_h`"),
+        ({"scenes": "random-lots"}, "random-lots: random scenes are named by their size"),
+        ({"scenes": "random-21m"}, "at most 20m"),
+        ({"scenes": "nowhere.ply"}, "nowhere.ply"),
+    ],
+)
+def test_bad_input_ends_with_one_line_and_code_2(capsys, options, words):
+    assert bench(**options) == BAD_INPUT
+    said = capsys.readouterr().err.strip()
+    assert "\n" not in said
+    assert said.startswith("gsrain: ")
+    assert words in said
