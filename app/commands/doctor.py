@@ -22,7 +22,7 @@ class Finding(NamedTuple):
 def doctor(*, json: JsonFile = None) -> int:
     """Look for everything that GSRAIN can use. Exit code 1 when something that it needs is missing."""
     needed = [_opengl(), _video(), _threads()]
-    optional = [_osmesa(), _display(), _module("torch", "heavy jobs", "jobs"), _cuda()]
+    optional = [_osmesa(), _display(), _module("torch", "heavy jobs", "jobs"), _cuda(), _gsplat()]
     for finding in (*needed, *optional):
         mark = "ok     " if finding.found else ("MISSING" if finding in needed else "absent ")
         print(f"{mark} {finding.name}: {finding.what}")
@@ -111,3 +111,15 @@ def _cuda() -> Finding:
         return torch.cuda.get_device_name()
 
     return _tried("CUDA", device, "")
+
+
+def _gsplat() -> Finding:
+    """Draws with it, as `--backend cuda` does: gsplat is installed without its kernels and compiles them itself."""
+
+    def device() -> str:
+        from gsrain_engine.render.backends import device_of, open_renderer
+
+        with open_renderer("cuda") as renderer:
+            return f"--backend cuda draws on {device_of(renderer)}"
+
+    return _tried("gsplat (draws on GPUs without a graphics pipeline)", device, "")

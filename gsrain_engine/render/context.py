@@ -13,7 +13,7 @@ REQUIRED_VERSION = 430
 ContextSource = Literal["auto", "egl", "osmesa"]
 
 
-class NoOpenGLError(RuntimeError):
+class NoOpenGLError(OSError):
     """No OpenGL 4.3 could be had; says what was tried and what to install."""
 
 

@@ -1,0 +1,121 @@
+"""Rain for the `cuda` back end, in torch: gsplat's cut at an alpha of 1/255 is compiled in and would erase it.
+
+The scene comes from gsplat with its blending weights gathered by depth, in as many channels as there are edges between
+slabs of rain; rain is composited slab by slab between them. Inside a slab rain counts as spread evenly over its depth.
+"""
+
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from gsrain_engine.rain.falling_rain import FallingRain
+from gsrain_engine.rain.rain_gaussians import RainGaussians
+
+from .compositing import MAX_ALPHA
+from .depth_slabs import DepthSlabs
+
+torch: Any = import_module("torch")
+
+Tensor = Any
+
+_ROWS = 1 << 14
+"""Pixel rows of splats that are worked on at once."""
+_OPAQUE = 0.98
+"""The other renderers end a pixel before the splat that would leave less than 1e-4, with up to 2 % of light left."""
+_FIXED_POINT = 2.0**40
+"""Logarithms are added as integers: the same sum in any order, so the same bytes in every run."""
+
+
+def edge_colors(depths: Tensor, slabs: DepthSlabs) -> Tensor:
+    """One channel an edge between slabs (n, edges) for scene splats at depths (n,): shares of the two nearest edges.
+
+    They are linear in depth and add up to 1; before all rain it is the first edge alone, behind it the last.
+    """
+    edges = torch.as_tensor(slabs.edges_m, device=depths.device)
+    upper = torch.clamp(torch.searchsorted(edges, depths.contiguous()), 1, len(edges) - 1)
+    low, high = edges[upper - 1], edges[upper]
+    position = upper - 1 + torch.clamp((depths - low) / torch.clamp(high - low, min=1e-6), 0, 1)
+    return torch.clamp(1 - torch.abs(position[:, None] - torch.arange(len(edges), device=depths.device)), min=0)
+
+
+def in_rain(rgba: Tensor, by_edge: Tensor, slabs: DepthSlabs, rain: FallingRain | RainGaussians) -> Tensor:
+    """Put rain over and into a scene: premultiplied display colour and alpha (h, w, 4).
+
+    `rgba` is the clear scene, `by_edge` its weights (h, w, edges) from `edge_colors`. With the scene's colour B and
+    alpha A, its share W_s and the rain's W_r under each other: enc(min(W_s / A, 1) dec(B) + W_r S) in linear light,
+    as in `add_rain_light`; the display form is the same without enc and dec.
+    """
+    alpha = rgba[..., 3]
+    rain_share, scene_share = _shares(by_edge, alpha, slabs)
+    light = torch.as_tensor(rain.light_linear, device=rgba.device)
+    seen = torch.where(alpha > 0, torch.clamp(scene_share / torch.clamp(alpha, min=1e-30), max=1), 1.0)[..., None]
+    if rain.mixing == "linear":
+        color = _to_display(seen * _to_linear(rgba[..., :3]) + rain_share[..., None] * light)
+    else:
+        color = seen * rgba[..., :3] + rain_share[..., None] * _to_display(light)
+    rainy = torch.cat([color, (rain_share + scene_share)[..., None]], dim=-1)
+    return torch.where(rain_share[..., None] > 0, rainy, rgba)
+
+
+def _shares(by_edge: Tensor, alpha: Tensor, slabs: DepthSlabs) -> tuple[Tensor, Tensor]:
+    """What the eye sees of rain and of scene through both (h, w), see `composite_in_rain`."""
+    height, width = alpha.shape
+    hidden = torch.where(alpha > _OPAQUE, 1 - alpha, 0.0)
+    through_scene = 1 - hidden
+    through_rain = torch.ones_like(alpha)
+    rain_share, scene_share = torch.zeros_like(alpha), by_edge[..., 0]
+    for k, cover in enumerate(_covers(slabs, height, width, alpha.device)):
+        through_scene = through_scene - by_edge[..., k]
+        rain_share = rain_share + through_rain * cover * torch.clamp(through_scene, min=0)
+        through_rain = through_rain * (1 - cover)
+        scene_share = scene_share + through_rain * by_edge[..., k + 1]
+    return rain_share * (1 + hidden), scene_share
+
+
+def _covers(slabs: DepthSlabs, height: int, width: int, device: Tensor) -> Tensor:
+    """What the splats of each slab cover together (slabs, h, w): 1 - prod (1 - alpha), in any order."""
+    count = len(slabs.starts) - 1
+    total = torch.zeros(count * height * width, dtype=torch.int64, device=device)
+    shapes = torch.as_tensor(slabs.shapes, device=device)
+    image = torch.as_tensor(np.repeat(np.arange(count), np.diff(slabs.starts)), device=device)
+    top = torch.clamp(torch.ceil(shapes[:, 1] - shapes[:, 7] - 0.5), 0, height).long()
+    bottom = torch.clamp(torch.floor(shapes[:, 1] + shapes[:, 7] + 0.5), 0, height).long()
+    splats, rows = _spread(top, bottom)
+    for splat, row in zip(splats.split(_ROWS), rows.split(_ROWS), strict=True):
+        _add_rows(shapes[splat], row, (image[splat] * height + row) * width, width, total)
+    return -torch.expm1(total.to(torch.float32) / _FIXED_POINT).reshape(count, height, width)
+
+
+def _add_rows(shapes: Tensor, rows: Tensor, places: Tensor, width: int, total: Tensor) -> None:
+    """Add ln(1 - alpha) along one pixel row of each splat, which begins at a place in `total`; see `Splats`."""
+    x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, _ = shapes.unbind(1)
+    dy = rows + 0.5 - y
+    peak = log_opacity + sharpness_y * dy * dy
+    center = x + shear * dy
+    half = torch.sqrt(torch.clamp((peak - log_cut) / -sharpness_x, min=0))
+    left = torch.clamp(torch.ceil(center - half - 0.5), 0, width).long()
+    right = torch.clamp(torch.floor(center + half + 0.5), 0, width).long()
+    row, u = _spread(left, right)
+    dx = u + 0.5 - center[row]
+    alpha = torch.exp(peak[row] + sharpness_x[row] * dx * dx)
+    logs = torch.log1p(-torch.clamp(alpha, max=float(MAX_ALPHA)))
+    total.index_add_(0, places[row] + u, (logs * _FIXED_POINT).to(torch.int64))
+
+
+def _spread(starts: Tensor, ends: Tensor) -> tuple[Tensor, Tensor]:
+    """Every integer from starts to before ends, and which of them it belongs to."""
+    counts = torch.clamp(ends - starts, min=0)
+    owner = torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts)
+    first = torch.cumsum(counts, 0) - counts
+    return owner, torch.arange(len(owner), device=counts.device) - first[owner] + starts[owner]
+
+
+def _to_linear(display: Tensor) -> Tensor:
+    """The sRGB transfer function (IEC 61966-2-1)."""
+    return torch.where(display > 0.04045, ((torch.clamp(display, min=0.04045) + 0.055) / 1.055) ** 2.4, display / 12.92)
+
+
+def _to_display(linear: Tensor) -> Tensor:
+    curve = 1.055 * torch.clamp(linear, min=0.0031308) ** (1 / 2.4) - 0.055
+    return torch.where(linear > 0.0031308, curve, 12.92 * linear)
