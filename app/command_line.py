@@ -7,13 +7,6 @@ from importlib import metadata
 from cyclopts import App, CycloptsError
 from rich.console import Console
 
-from gsrain_engine.scene.errors import SceneFormatError
-
-from .commands.convert import convert
-from .commands.doctor import doctor
-from .commands.info import info
-from .commands.render import render
-from .commands.street import street
 from .commands.view import view
 
 BAD_INPUT, INTERRUPTED = 2, 130
@@ -25,8 +18,19 @@ app = App(
     help_format="plaintext",
 )
 app.default(view)
-for command in (render, info, convert, street, doctor):
-    app.command(command)
+# Named, not imported: each loads what it needs when it runs, so that the window stands at once.
+COMMANDS = {
+    "render": "Render a scene in its rain: a still, a video, frames, or raw floats.",
+    "info": "Print counts, bounds, spherical harmonics, units and memory of a scene.",
+    "convert": "Convert between scene formats.",
+    "street": "Write the built-in street: scene, tracks, camera rig, images with depth, normals and labels.",
+    "doctor": "Look for everything that GSRAIN can use, and say what is missing.",
+}
+for name, summary in COMMANDS.items():
+    app.command(f"app.commands.{name}:{name}", name=name, help=summary)
+benchmarks = App(name="bench", help="Time this machine.")
+benchmarks.command("app.commands.bench:render", name="render", help="Time frames of fixed scenes.")
+app.command(benchmarks)
 
 
 def run(arguments: list[str]) -> int:
@@ -38,7 +42,7 @@ def run(arguments: list[str]) -> int:
     except CycloptsError as error:
         errors.print(f"gsrain: {_one_line(str(error))}")
         return BAD_INPUT
-    except (SceneFormatError, ValueError, OSError, MemoryError) as error:
+    except (ValueError, OSError, MemoryError) as error:
         errors.print(f"gsrain: {_one_line(str(error))}")
         return BAD_INPUT
     except KeyboardInterrupt:

@@ -1,53 +1,53 @@
-"""The window: hello_imgui owns it; this wires the session, the live view and the panels together."""
+"""The window: hello_imgui owns it. It stands at once; what it shows is loaded behind it."""
 
-import logging
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 # imgui_bundle brings its own GLFW library and has to come before the glfw package.
-from imgui_bundle import hello_imgui, imgui, immapp
+from imgui_bundle import ImVec2, hello_imgui, imgui, immapp
 
 import glfw  # isort: skip
 import moderngl
 from imgui_bundle import glfw_utils
 
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.render.context import REQUIRED_VERSION
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.live_view import LiveView
-from gsrain_engine.session.session import Session
-from ui.menus import Menus
-from ui.panels import PANELS
-from ui.shortcuts import chord, handle_shortcuts
-from ui.status_bar import status_bar
 from ui.style import apply_style
-from ui.viewport_panel import viewport_panel
 
-logger = logging.getLogger("gsrain")
+if TYPE_CHECKING:
+    from gsrain_engine.session.session import Session, WindowBackend
+
+    from .workspace import Workspace
 
 VIEWPORT = "View"
 _SIZE = (1440, 900)
-_LONGEST_STEP_S = 0.25
-"""After a stall time goes on by no more than this, so that nothing leaps."""
+_REQUIRED_VERSION = 430
 
 
-def run_window(scene: Scene, rain: Rain | None = None) -> None:
-    """Open the window on a scene and return when it is closed."""
-    window = Window(Session(scene, rain))
+def run_window(begin: "Callable[[], Session]", backend: "WindowBackend" = "auto") -> None:
+    """Open the window and return when it is closed; `begin` makes the session, in a thread of its own."""
+    window = Window(begin, backend)
     immapp.run(window.parameters(), immapp.AddOnsParams(with_implot=False))
+    if window.failure is not None:
+        raise window.failure
 
 
 class Window:
-    """A session in a window."""
+    """An empty window that becomes a workspace."""
 
-    def __init__(self, session: Session) -> None:
-        self.session = session
-        self._menus = Menus(session)
-        self.view: LiveView | None = None
-        self._last_problem = ""
+    def __init__(self, begin: "Callable[[], Session]", backend: "WindowBackend" = "auto") -> None:
+        self._begin = begin
+        self._backend: WindowBackend = backend
+        self._context: moderngl.Context | None = None
+        self._session: Session | None = None
+        self._loader = threading.Thread(target=self._load, name="load the program", daemon=True)
+        self.workspace: Workspace | None = None
+        self.failure: Exception | None = None
+        """What kept the program from being loaded; the window closes over it."""
 
     def parameters(self) -> hello_imgui.RunnerParams:
         """What hello_imgui needs to run the window."""
         parameters = hello_imgui.RunnerParams()
-        parameters.app_window_params.window_title = f"GSRAIN: {self.session.scene.name}"
+        parameters.app_window_params.window_title = "GSRAIN"
         parameters.app_window_params.window_geometry.size = _SIZE
         parameters.imgui_window_params.default_imgui_window_type = (
             hello_imgui.DefaultImGuiWindowType.provide_full_screen_dock_space
@@ -58,66 +58,65 @@ class Window:
         parameters.ini_folder_type = hello_imgui.IniFolderType.app_user_config_folder
         parameters.ini_filename = "gsrain/window.ini"
         parameters.docking_params.docking_splits = _splits()
-        parameters.docking_params.dockable_windows = self._dockable_windows()
+        viewport = hello_imgui.DockableWindow(VIEWPORT, "MainDockSpace", self._draw_viewport)
+        viewport.can_be_closed = False
+        parameters.docking_params.dockable_windows = [viewport]
         callbacks = parameters.callbacks
         callbacks.post_init = self._start
         callbacks.setup_imgui_style = apply_style
         callbacks.pre_new_frame = self._update
-        callbacks.show_menus = self._menus.draw
-        callbacks.show_status = lambda: status_bar(self.session)
-        callbacks.before_exit = self.session.close
+        callbacks.show_menus = lambda: self.workspace.draw_menus() if self.workspace else None
+        callbacks.show_status = lambda: self.workspace.draw_status() if self.workspace else None
+        callbacks.before_exit = self._end
         parameters.fps_idling.enable_idling = False
         return parameters
 
-    def _start(self) -> None:
-        """Share the window's OpenGL context and take in dropped files."""
-        self.view = LiveView(moderngl.create_context(require=REQUIRED_VERSION), self.session)
-        glfw.set_drop_callback(glfw_utils.glfw_window_hello_imgui(), lambda _, paths: self.drop(paths))
-
     def drop(self, paths: list[str]) -> None:
         """Open a file or folder that was dropped on the window; of several, the first."""
-        if paths:
-            self.session.open(paths[0])
+        if paths and self.workspace is not None:
+            self.workspace.session.open(paths[0])
+
+    def _start(self) -> None:
+        """Share the window's OpenGL context, take in dropped files, begin to load."""
+        self._context = moderngl.create_context(require=_REQUIRED_VERSION)
+        glfw.set_drop_callback(glfw_utils.glfw_window_hello_imgui(), lambda _, paths: self.drop(paths))
+        self._loader.start()
+
+    def _load(self) -> None:
+        try:
+            from . import workspace  # noqa: F401  loads the engine, which takes a while
+
+            self._session = self._begin()
+        except Exception as failure:  # whatever it is, it ends the program with a message, not the thread in silence
+            self.failure = failure
 
     def _update(self) -> None:
-        """Let time go by. Once a frame, before anything is drawn."""
-        session = self.session
-        session.update(min(imgui.get_io().delta_time, _LONGEST_STEP_S))
-        idling = hello_imgui.get_runner_params().fps_idling
-        idling.enable_idling = not (session.clock.playing or session.is_working)
-        hello_imgui.get_runner_params().app_window_params.window_title = f"GSRAIN: {session.scene.name}"
+        """Once a frame, before anything is drawn."""
+        if self.failure is not None:
+            hello_imgui.get_runner_params().app_shall_exit = True
+        elif self.workspace is not None:
+            self.workspace.update()
+        elif self._session is not None and not self._loader.is_alive():
+            from .workspace import Workspace
 
-    def _dockable_windows(self) -> list[hello_imgui.DockableWindow]:
-        windows = [_dockable(VIEWPORT, "MainDockSpace", self._draw_viewport)]
-        spaces = {"right": "RightSpace", "right bottom": "RightBottomSpace"}
-        for panel in PANELS:
-            windows.append(_dockable(panel.title, spaces[panel.side], lambda panel=panel: panel.draw(self.session)))
-        return windows
+            assert self._context is not None
+            self.workspace = Workspace(self._session, self._context, self._backend)
+            for panel in self.workspace.dockable_windows():
+                hello_imgui.add_dockable_window(panel)
 
     def _draw_viewport(self) -> None:
-        handle_shortcuts(self.session)
-        if imgui.is_key_chord_pressed(chord(imgui.Key.mod_ctrl, imgui.Key.o)):
-            self._menus.ask_what_to_open()
-        if imgui.is_key_chord_pressed(chord(imgui.Key.mod_ctrl, imgui.Key.s)):
-            self._menus.ask_where_to_save()
-        self._menus.answer()
-        viewport_panel(self.session, self._texture)
+        if self.workspace is not None:
+            self.workspace.draw_viewport()
+            return
+        imgui.set_cursor_pos(ImVec2(20, 40))
+        imgui.text("Starting GSRAIN")
+        imgui.set_cursor_pos_x(20)
+        imgui.progress_bar(-imgui.get_time(), ImVec2(280, 0), "loading")
 
-    def _texture(self, width: int, height: int) -> int:
-        assert self.view is not None
-        try:
-            return self.view.draw(width, height).glo
-        except MemoryError as problem:  # a scene too large for the driver: say so once, and keep the last picture
-            if str(problem) != self._last_problem:
-                self._last_problem = str(problem)
-                logger.error("%s", problem)
-            return self.view.last_texture
-
-
-def _dockable(title: str, space: str, draw: object) -> hello_imgui.DockableWindow:
-    window = hello_imgui.DockableWindow(title, space, draw)
-    window.can_be_closed = title != VIEWPORT
-    return window
+    def _end(self) -> None:
+        self._loader.join()
+        if self._session is not None:
+            self._session.close()
 
 
 def _splits() -> list[hello_imgui.DockingSplit]:

@@ -29,6 +29,12 @@ def use_kernel_cache() -> None:
         os.environ["NUMBA_CACHE_DIR"] = str(folder)
 
 
+def has_kernels() -> bool:
+    """Whether kernels have been compiled into the cache folder before, so that loading them takes no second."""
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    return folder is not None and any(Path(folder).rglob("*.nbi"))
+
+
 def kernel_cache(root: Path, version: str, sources: Iterable[Path]) -> Path:
     """Make the cache folder that belongs to the sources as they are, and remove those of older ones.
 

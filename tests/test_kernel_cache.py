@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gsrain_engine.kernel_cache import kernel_cache
+from gsrain_engine.kernel_cache import has_kernels, kernel_cache
 
 
 @pytest.fixture
@@ -114,3 +114,11 @@ def test_a_users_own_folder_stays_and_a_parents_is_looked_up_again(tmp_path):
     assert cache_folder(XDG_CACHE_HOME=cache, NUMBA_CACHE_DIR=str(tmp_path / "mine")) == str(tmp_path / "mine")
     stale = str(Path(own).parent / "0123456789abcdef")
     assert cache_folder(XDG_CACHE_HOME=cache, NUMBA_CACHE_DIR=stale) == own
+
+
+def test_knows_whether_kernels_have_been_compiled(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert not has_kernels()
+    (tmp_path / "raster_1").mkdir()
+    (tmp_path / "raster_1" / "tiles._count.nbi").touch()
+    assert has_kernels()

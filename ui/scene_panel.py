@@ -29,6 +29,14 @@ def scene_panel(session: Session) -> None:
     changed, index = imgui.combo("##resolution", view.shrink - 1, ["100 %", "50 %", "33 %"])
     if changed:
         view.shrink = index + 1
+    plain_label("While moving", "Hold this frame time while the camera moves by drawing less; exact once it rests.")
+    _, session.budget.enabled = imgui.checkbox("##budget", session.budget.enabled)
+    imgui.same_line()
+    imgui.set_next_item_width(-1)
+    imgui.begin_disabled(not session.budget.enabled)
+    budget = session.budget
+    _, budget.target_ms = imgui.slider_float("##target_ms", budget.target_ms, 10, 200, "%.0f ms a frame")
+    imgui.end_disabled()
     plain_label("Field of view", "Vertical, in degrees.")
     _, session.navigation.vertical_fov_deg = imgui.slider_float(
         "##fov", session.navigation.vertical_fov_deg, 15, 110, "%.0f"

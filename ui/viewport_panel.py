@@ -1,14 +1,19 @@
 """The viewport: the picture, navigation by mouse and keys, outlines of the rain regions, a small toolbar."""
 
 from collections.abc import Callable
+from typing import get_args
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
+from gsrain_engine.render.look import Look
 from gsrain_engine.session.region_outlines import region_outlines
-from gsrain_engine.session.session import Session
+from gsrain_engine.session.session import Session, Split, ViewOptions
 
-TextureOf = Callable[[int, int], int]
-"""Draws the session for a size in pixels and returns the texture's OpenGL name."""
+from .divider import draw_divider
+from .notice import draw_notice
+
+TexturesOf = Callable[[int, int], list[int]]
+"""Draws the session for a size in pixels and returns the OpenGL names of its sides, from left to right."""
 
 _OUTLINE = {"streak region": ImVec4(0.45, 0.85, 1.0, 0.9), "haze region": ImVec4(1.0, 0.8, 0.45, 0.9)}
 _RADIANS_PER_PIXEL = 0.005
@@ -25,19 +30,29 @@ HELP = (
 )
 
 
-def viewport_panel(session: Session, texture_of: TextureOf) -> None:
+def viewport_panel(session: Session, textures_of: TexturesOf) -> None:
     """Draw the panel."""
     _toolbar(session)
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x), 16), max(int(size.y), 16)
     corner = imgui.get_cursor_screen_pos()
-    imgui.image(imgui.ImTextureRef(texture_of(width, height)), ImVec2(width, height))
+    textures = textures_of(width, height)
+    at = round(session.view.divider * width) if len(textures) == 2 else 0
+    if at > 0:
+        imgui.image(imgui.ImTextureRef(textures[0]), ImVec2(at, height), ImVec2(0, 0), ImVec2(at / width, 1))
+        imgui.set_cursor_screen_pos(ImVec2(corner.x + at, corner.y))
+    if at < width:
+        imgui.image(imgui.ImTextureRef(textures[-1]), ImVec2(width - at, height), ImVec2(at / width, 0), ImVec2(1, 1))
+    if len(textures) == 2:
+        draw_divider(session, corner, width, height)
     imgui.set_cursor_screen_pos(corner)
+    imgui.set_next_item_allow_overlap()
     flags = imgui.ButtonFlags_.mouse_button_left | imgui.ButtonFlags_.mouse_button_right
     imgui.invisible_button("view", ImVec2(width, height), flags | imgui.ButtonFlags_.mouse_button_middle)
     _outlines(session, corner, width, height)
     _mouse(session, height)
     _keyboard(session)
+    draw_notice(session, corner, width, height)
 
 
 def _toolbar(session: Session) -> None:
@@ -60,8 +75,22 @@ def _toolbar(session: Session) -> None:
         session.take_screenshot()
     imgui.set_item_tooltip("Save the picture as PNG (F12); the log says where.")
     imgui.same_line()
+    _choice("##look", session.view, "look", get_args(Look), "Look: the picture, or what it is made of.", 7.5)
+    imgui.same_line()
+    _choice("##split", session.view, "split", get_args(Split), "Compare two pictures side by side.", 9.5)
+    imgui.same_line()
     imgui.text_disabled(f"{session.clock.time_s:8.2f} s    fly {session.navigation.speed_m_s:.1f} m/s    (?)")
     imgui.set_item_tooltip(HELP)
+
+
+def _choice(
+    name: str, options: ViewOptions, field: str, choices: tuple[str, ...], help_text: str, width_em: float
+) -> None:
+    imgui.set_next_item_width(width_em * imgui.get_font_size())
+    changed, picked = imgui.combo(name, choices.index(getattr(options, field)), list(choices))
+    imgui.set_item_tooltip(help_text)
+    if changed:
+        setattr(options, field, choices[picked])
 
 
 def _outlines(session: Session, corner: ImVec2, width: int, height: int) -> None:

@@ -21,7 +21,7 @@ from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_files import read_camera_path
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.home_camera import default_path, front_camera, home_camera
-from gsrain_engine.session.open_scene import open_scene
+from gsrain_engine.session.open_scene import open_to_draw
 from gsrain_engine.session.rainy_look import rainy_scene
 
 from .arguments import JsonFile, parse_size, write_numbers
@@ -108,7 +108,7 @@ def render(
     """Render a scene in its rain: a still, a video, frames, or raw floats (premultiplied, before tone mapping)."""
     width, height = parse_size(size) if size else (960, 640)
     _check(fps=fps, duration=duration, frame=frame, metres_per_unit=metres_per_unit)
-    opened = _oriented(open_scene(scene), up, metres_per_unit)
+    opened = _oriented(open_to_draw(scene), up, metres_per_unit)
     falling = Rainfall.start((rain or RainOptions()).for_scene(opened))
     if wet:
         opened = _made_rainy(opened)

@@ -1,13 +1,13 @@
 """`gsrain [SCENE]`: the window."""
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.session.open_scene import open_scene
-
 from .display import has_display
+
+if TYPE_CHECKING:
+    from gsrain_engine.session.session import Session
 
 
 def view(
@@ -17,10 +17,19 @@ def view(
     preset: Annotated[
         str | None, Parameter(help="Rain preset (clear, 1.2, 8.5, 12.0, paper) or a preset file.")
     ] = None,
+    backend: Annotated[
+        Literal["auto", "opengl", "cpu"], Parameter(help="auto takes OpenGL on a GPU, else the processor.")
+    ] = "auto",
 ) -> None:
     """Open a scene in the window."""
     if not has_display():
         raise OSError("no display: the window can't open here; gsrain render writes pictures and videos without one")
     from app.window import run_window  # the GUI libraries load only for the window
 
-    run_window(open_scene(scene), load_preset(preset) if preset else None)
+    def begin() -> "Session":
+        from app.workspace import begin_session  # and the engine behind the window
+        from gsrain_engine.rain.presets import load_preset
+
+        return begin_session(scene, load_preset(preset) if preset else None)
+
+    run_window(begin, backend)

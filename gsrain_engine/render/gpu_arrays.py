@@ -46,6 +46,8 @@ class _Array:
 
     sources: tuple[Float32[np.ndarray, "..."], ...]
     buffers: list[moderngl.Buffer]
+    is_awaited: bool = True
+    """Uploaded ahead of its first frame."""
 
 
 class GpuArrays:
@@ -68,6 +70,7 @@ class GpuArrays:
         for sources in _sources(gaussians):
             key = tuple(map(id, sources))
             self._used.add(key)
+            self._arrays[key].is_awaited = False
             found.append(self._arrays[key].buffers)
         return GaussianBuffers(*found)
 
@@ -90,11 +93,13 @@ class GpuArrays:
                 yield done / steps
             self._arrays[tuple(map(id, sources))] = array
 
-    def release_unused(self) -> None:
-        """Free every array that nobody asked for since the last call."""
-        for key in [key for key in self._arrays if key not in self._used]:
-            for buffer in self._arrays.pop(key).buffers:
-                buffer.release()
+    def release_unused(self, *, awaited_too: bool = False) -> None:
+        """Free every array that nobody asked for since the last call; what waits for its first frame only if told."""
+        for key, array in list(self._arrays.items()):
+            if key not in self._used and (awaited_too or not array.is_awaited):
+                del self._arrays[key]
+                for buffer in array.buffers:
+                    buffer.release()
         self._used.clear()
 
     def _packed(self, sources: tuple[Float32[np.ndarray, "..."], ...], rows: slice) -> UInt8[np.ndarray, "m bytes"]:

@@ -1,5 +1,6 @@
 """A scene in its rain, seen from a camera at a moment: the one way in which window and command line draw."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,10 +37,17 @@ def draw_shot(
     *,
     with_depth: bool = False,
     look: Look = "splats",
+    share: float = 1.0,
 ) -> None:
-    """Draw a scene in its rain into the renderer's picture, or with another look without it."""
+    """Draw a scene in its rain into the renderer's picture, or with another look without it.
+
+    `share` draws only the first of each part's Gaussians, which matter most where they are in their drawing order.
+    """
     falling = rain_in(scene, rainfall, sky, shot) if look == "splats" else None
-    renderer.draw(scene.parts(shot.time_s), shot.camera, falling, with_depth=with_depth, look=look)
+    parts = scene.parts(shot.time_s)
+    if share < 1:
+        parts = [part._replace(limit=math.ceil(share * len(part.gaussians))) for part in parts]
+    renderer.draw(parts, shot.camera, falling, with_depth=with_depth, look=look)
 
 
 def rain_in(scene: Scene, rainfall: Rainfall, sky: Color, shot: Shot) -> FallingRain | None:

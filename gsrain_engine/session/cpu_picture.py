@@ -2,13 +2,17 @@
 
 import logging
 import threading
+from typing import get_args
 
 import moderngl
 import numpy as np
 
-from gsrain_engine.rain.rain_gaussians import RainGaussians
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.rainfall import Rainfall, View
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
+from gsrain_engine.render.look import Look
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.drawing_order import put_into_drawing_order
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import Part
 
@@ -23,7 +27,13 @@ class CpuPicture:
         self._context = context
         self._texture: moderngl.Texture | None = None
         self._compiled = threading.Event()
-        threading.Thread(target=self._compile, name="compile kernels", daemon=True).start()
+        self._is_compiling = False
+
+    def compile(self) -> None:
+        """Begin to compile the kernels, or to load them, in the background; once."""
+        if not self._is_compiling:
+            self._is_compiling = True
+            threading.Thread(target=self._compile, name="compile kernels", daemon=True).start()
 
     @property
     def is_ready(self) -> bool:
@@ -59,8 +69,13 @@ def compile_kernels() -> None:
         np.zeros((1, 1, 3), f),
     )  # fmt: skip
     camera = Camera(32, 32, 32.0, 32.0, 16.0, 16.0)
-    renderer, part = CpuRenderer(), Part(one, np.eye(4))
+    renderer, parts = CpuRenderer(), [Part(one, np.eye(4))]
     for degree in (1, 4, 9, 16):
         renderer.draw([Part(one.with_sh(np.zeros((1, degree, 3), f)), np.eye(4))], camera, with_depth=True)
-    renderer.draw([part], camera, RainGaussians(one, np.ones(3, f), "linear", 1, 0))
-    renderer.draw([part], camera, RainGaussians(one, np.ones(3, f), "display", 1, 0))
+    view = View(camera, np.eye(4), np.zeros(3))
+    for mixing in ("linear", "display"):
+        rain = Rain(intensity_mm_h=1.0, rain_light=mixing)
+        renderer.draw(parts, camera, Rainfall.start(rain).at(0.0, view))
+    put_into_drawing_order(one)
+    for look in get_args(Look):
+        renderer.draw(parts, camera, look=look)

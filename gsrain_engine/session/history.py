@@ -48,6 +48,11 @@ class History:
         return self._steps[self._cursor].document
 
     @property
+    def previous(self) -> Document:
+        """The document before the last step; at the beginning the present one."""
+        return self._steps[max(0, self._cursor - 1)].document
+
+    @property
     def undo_label(self) -> str | None:
         """What undo would take back; None at the beginning."""
         return self._steps[self._cursor].label if self._cursor > 0 else None

@@ -1,57 +1,82 @@
-"""Draws a session into a texture, frame by frame: looks at the sky, uploads staged scenes in slices, saves stills."""
+"""Draws a session into textures, frame by frame: looks at the sky, uploads staged scenes in slices, saves stills."""
 
 import logging
 import time
 from collections.abc import Hashable, Iterator
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
 
+from gsrain_engine.kernel_cache import has_kernels
 from gsrain_engine.render.context import is_software
 from gsrain_engine.render.pictures import write_picture
+from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.scene_view import Shot, draw_shot
 from gsrain_engine.render.screen import Screen
 from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.render.splat_renderer import SplatRenderer
 
 from .cpu_picture import CpuPicture
-from .session import Session, StagedScene
+from .interaction_budget import EXACT, Detail
+from .session import Session, Side, StagedScene, WindowBackend
 
 logger = logging.getLogger("gsrain")
+
+_STAND_IN_GAUSSIANS = 1_000_000
+"""Larger scenes wait for the processor's kernels: software OpenGL would need minutes and twice the memory."""
+
+_UPLOAD_S = 0.01
+"""Of each frame, for bringing slices of a staged scene to the GPU."""
 
 
 class LiveView:
     """What the viewport shows. Lives in the window's OpenGL context and on its thread.
 
     On a GPU, OpenGL draws. Where OpenGL is a software rasterizer, the processor draws the same picture by itself
-    several times faster; until its kernels are compiled OpenGL stands in.
+    several times faster; until its kernels are compiled OpenGL stands in. `backend` overrules the choice.
     """
 
-    def __init__(self, context: moderngl.Context, session: Session) -> None:
+    def __init__(self, context: moderngl.Context, session: Session, backend: WindowBackend = "auto") -> None:
         self.session = session
         self._opengl = SplatRenderer(context)
-        self._cpu = CpuPicture(context) if is_software(context) else None
-        self._screen = Screen(context)
-        self._texture: moderngl.Texture | None = None
-        self._shown: Hashable = None
+        on_cpu = is_software(context) if backend == "auto" else backend == "cpu"
+        self._cpu = CpuPicture(context) if on_cpu else None
+        if self._cpu is not None and has_kernels():
+            self._cpu.compile()
+        self._sides = (_SidePicture(context), _SidePicture(context))
+        self._moment: Shot | None = None
+        self._asked_at = 0.0
         self._staged: StagedScene | None = None
         self._upload: Iterator[float] = iter(())
 
-    def draw(self, width: int, height: int) -> moderngl.Texture:
-        """Draw the present moment for a viewport of a size in pixels; the texture's first row is the picture's.
+    def draw(self, width: int, height: int) -> list[moderngl.Texture]:
+        """Draw the present moment for a viewport of a size in pixels: a texture for each of the session's sides.
 
-        When nothing has changed since the last call, the last texture comes back.
+        Each shows the whole picture, its first row on top. When nothing has changed since the last call, the last
+        textures come back.
         """
         session = self.session
         self._go_on_uploading()
-        shrink = session.view.shrink
-        shot = session.shot(max(1, width // shrink), max(1, height // shrink), float(shrink))
-        state = _fingerprint(session, shot, self._on_cpu)
-        if self._texture is None or state != self._shown or session.sky_is_stale:
-            self._texture = self._draw_anew(shot)
-            self._shown = state
-        self._save_screenshot(self._texture)
-        return self._texture
+        sides = session.sides
+        detail = self._choose_detail(session.shot(width, height))
+        if session.screenshot is not None:
+            detail = EXACT
+        shot = self._shot(width, height, detail)
+        raining = session.rain.intensity_mm_h > 0
+        if session.sky_is_stale and raining and self._can_draw:
+            self._look_at_sky(shot)
+        # The right side is the document itself: it comes first, whatever is compared with it.
+        started, has_drawn = time.perf_counter(), False
+        for side, shown in zip(reversed(sides), self._sides, strict=False):
+            has_drawn |= self._show(side, shown, shot, detail)
+        if self._cpu is not None and (has_drawn or not self._can_draw) and session.scene.gaussian_count:
+            self._cpu.compile()  # after the first picture, which compiling would hold up
+        if has_drawn:
+            self._tell(1000 * (time.perf_counter() - started), detail)
+        textures = [shown.texture for shown in self._sides[: len(sides)]][::-1]
+        self._save_screenshot(textures)
+        return textures
 
     @property
     def is_settled(self) -> bool:
@@ -59,72 +84,141 @@ class LiveView:
         return self._cpu is None or self._cpu.is_ready
 
     @property
-    def last_texture(self) -> int:
-        """OpenGL name of the last picture, 0 before the first."""
-        return self._texture.glo if self._texture is not None else 0
+    def last_textures(self) -> list[moderngl.Texture]:
+        """The last pictures, of as many sides as there are."""
+        return [shown.texture for shown in self._sides[: len(self.session.sides)]][::-1]
 
     @property
     def _on_cpu(self) -> bool:
         return self._cpu is not None and self._cpu.is_ready
 
-    def _draw_anew(self, shot: Shot) -> moderngl.Texture:
-        session, started = self.session, time.perf_counter()
-        cpu = self._cpu if self._cpu is not None and self._cpu.is_ready else None
-        renderer = self._opengl if cpu is None else cpu.renderer
-        if session.sky_is_stale:
-            sky = sky_color(renderer, session.scene, shot.camera)
-            session.sky, session.sky_is_stale = sky.color, False
-            if not sky.found:
-                logger.info("The scene shows no sky: drops take the colour of an overcast one")
-        rain = draw_shot(renderer, session.scene, session.rainfall, session.sky, shot)
-        picture = self._opengl.picture if cpu is None else cpu.upload()
-        texture = self._screen.show(picture, session.view.background, 2.0**session.view.gain_ev)
-        session.backend = renderer.name
+    @property
+    def _can_draw(self) -> bool:
+        return self.is_settled or self.session.scene.gaussian_count <= _STAND_IN_GAUSSIANS
+
+    @property
+    def _renderer(self) -> Renderer:
+        return self._cpu.renderer if self._cpu is not None and self._cpu.is_ready else self._opengl
+
+    def _choose_detail(self, now: Shot) -> Detail:
+        """Ask the budget, which wants to know whether the camera has moved."""
+        session, before, at = self.session, self._moment, time.perf_counter()
+        moving = before is not None and (
+            now.camera.world_to_camera.tobytes() != before.camera.world_to_camera.tobytes()
+            or now.camera.fx != before.camera.fx
+        )
+        resized = before is not None and now.camera.height != before.camera.height
+        self._moment, real_s, self._asked_at = now, at - self._asked_at, at
+        return session.budget.observe(moving=moving and not resized, real_s=real_s)
+
+    def _shot(self, width: int, height: int, detail: Detail) -> Shot:
+        scale = detail.scale / self.session.view.shrink
+        drawn_height = max(1, round(height * scale))
+        return self.session.shot(max(1, round(width * scale)), drawn_height, height / drawn_height)
+
+    def _look_at_sky(self, shot: Shot) -> None:
+        session = self.session
+        sky = sky_color(self._renderer, session.scene, shot.camera)
+        session.sky, session.sky_is_stale = sky.color, False
+        if not sky.found:
+            logger.info("The scene shows no sky: drops take the colour of an overcast one")
+
+    def _show(self, side: Side, shown: "_SidePicture", shot: Shot, detail: Detail) -> bool:
+        """Draw a side unless it shows just that already."""
+        session = self.session
+        state = (_fingerprint(session, side, shot), detail.gaussians, self._on_cpu)
+        if state == shown.state or not self._can_draw:
+            return False
+        renderer, view = self._renderer, session.view
+        draw_shot(renderer, side.scene, side.rainfall, session.sky, shot, look=view.look, share=detail.gaussians)
+        picture = self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture
+        shown.texture = shown.screen.show(picture, view.background, 2.0**view.gain_ev)
+        shown.state = state
+        return True
+
+    def _tell(self, milliseconds: float, detail: Detail) -> None:
+        session, statistics = self.session, self._renderer.statistics
+        session.budget.measured(detail, milliseconds)
+        session.detail = detail
+        session.backend = self._renderer.name
         session.statistics = {
-            "frame ms": 1000 * (time.perf_counter() - started),
-            **{f"{stage} ms": value for stage, value in renderer.statistics.stages_ms.items()},
-            "Gaussians": renderer.statistics.gaussians,
-            "splats drawn": renderer.statistics.splats_drawn,
-            "drops drawn": rain.drops_drawn if rain is not None else 0,
-            "haze Gaussians": rain.haze_drawn if rain is not None else 0,
+            "frame ms": milliseconds,
+            **{f"{stage} ms": value for stage, value in statistics.stages_ms.items()},
+            "Gaussians": statistics.gaussians,
+            "splats drawn": statistics.splats_drawn,
+            "drops drawn": statistics.drops_drawn,
+            "haze Gaussians": statistics.haze_drawn,
         }
-        return texture
 
     def _go_on_uploading(self) -> None:
-        """Bring the next slice of a staged scene to the GPU; when all is there, swap it in."""
+        """Bring the next slices of a staged scene to the GPU; when all is there, swap it in."""
         if self.session.staged is not self._staged:
+            self._opengl.arrays.release_unused(awaited_too=True)
             self._staged = self.session.staged
-            self._upload = iter(()) if self._on_cpu else self._slices()
-        if self._staged is not None and next(self._upload, None) is None:
-            self._staged = None
-            self.session.swap_in()
+            self._upload = self._slices(self._staged) if self._staged is not None else iter(())
+        until = time.perf_counter() + _UPLOAD_S
+        while self._staged is not None and time.perf_counter() < until:
+            if next(self._upload, None) is None:
+                self._staged = None
+                self.session.swap_in()
 
-    def _slices(self) -> Iterator[float]:
-        assert self._staged is not None
-        scene = self._staged.scene
-        for member in (*scene.layers, *scene.actors):
+    def _slices(self, staged: StagedScene) -> Iterator[float]:
+        if self._on_cpu or (self._cpu is not None and staged.scene.gaussian_count > _STAND_IN_GAUSSIANS):
+            return
+        for member in (*staged.scene.layers, *staged.scene.actors):
             yield from self._opengl.upload(member.gaussians)
 
-    def _save_screenshot(self, texture: moderngl.Texture) -> None:
+    def _save_screenshot(self, textures: list[moderngl.Texture]) -> None:
         path, self.session.screenshot = self.session.screenshot, None
         if path is None:
             return
-        pixels = np.frombuffer(texture.read(), np.uint8).reshape(texture.height, texture.width, 4)
+        pictures = [
+            np.frombuffer(texture.read(), np.uint8).reshape(texture.height, texture.width, 4)[..., :3]
+            for texture in textures
+        ]
+        pixels = pictures[-1].copy()
+        if len(pictures) == 2:
+            at = round(self.session.view.divider * pixels.shape[1])
+            pixels[:, :at] = pictures[0][:, :at]
         try:
-            write_picture(path, np.ascontiguousarray(pixels[..., :3]))
+            write_picture(path, pixels)
         except OSError as error:
             logger.error("%s: the screenshot can't be saved: %s", path, error.strerror or error)
         else:
             logger.info("Saved %s", path)
 
 
-def _fingerprint(session: Session, shot: Shot, on_cpu: bool) -> Hashable:
+class _SidePicture:
+    """What stands on one side, and what it was drawn from."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self.screen = Screen(context)
+        self.texture = context.texture((1, 1), 4, np.zeros(4, np.uint8))
+        self.state: Hashable = None
+
+
+class _Seen(NamedTuple):
     """Everything that a picture depends on; scenes and rains are values and compare by identity."""
+
+    scene: Hashable
+    rainfall: Hashable
+    sky: Hashable
+    time_s: float
+    camera: Hashable
+    velocity: bytes
+    view: Hashable
+
+
+def _fingerprint(session: Session, side: Side, shot: Shot) -> _Seen:
     camera, view = shot.camera, session.view
-    velocity = b"" if shot.velocity_m_s is None else shot.velocity_m_s.tobytes()
-    raining = session.rain.intensity_mm_h > 0
-    return (
-        session.scene, session.rainfall if raining else None, session.sky, shot.time_s,
-        camera.world_to_camera.tobytes(), camera.width, camera.height, camera.fx, velocity if raining else b"",
-        view.background, view.gain_ev, on_cpu,
-    )  # fmt: skip
+    raining = side.rainfall.rain.intensity_mm_h > 0 and view.look == "splats"
+    velocity = b"" if shot.velocity_m_s is None or not raining else shot.velocity_m_s.tobytes()
+    return _Seen(
+        side.scene,
+        side.rainfall if raining else None,
+        session.sky if raining else None,
+        shot.time_s if raining or side.scene.actors else 0.0,
+        (camera.world_to_camera.tobytes(), camera.width, camera.height, camera.fx),
+        velocity,
+        (view.background, view.gain_ev, view.look),
+    )

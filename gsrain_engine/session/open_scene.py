@@ -8,6 +8,8 @@ from pathlib import Path
 import msgspec
 import platformdirs
 
+from gsrain_engine.scene import drawing_order
+from gsrain_engine.scene.drawing_order import put_into_drawing_order
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.scene import Scene
@@ -24,9 +26,15 @@ def open_scene(name: str | None) -> Scene:
 
     Raises `SceneFormatError` for what can't be read.
     """
-    if name is None or (name == STREET and not Path(name).exists()):
-        return cached_street()
-    return read_scene(Path(name))
+    return cached_street() if _is_built_in(name) else read_scene(Path(str(name)))
+
+
+def open_to_draw(name: str | None) -> Scene:
+    """Read a scene as `open_scene` does, and bring the Gaussians of each layer into their drawing order."""
+    scene = open_scene(name)
+    if not _is_built_in(name):  # the street is kept in that order
+        _put_into_order(scene)
+    return scene
 
 
 def cached_street() -> Scene:
@@ -39,6 +47,7 @@ def cached_street() -> Scene:
             logger.warning("The cached street is damaged and is built again: %s", error)
             shutil.rmtree(folder, ignore_errors=True)
     scene = build.build_street()
+    _put_into_order(scene)
     try:
         write_scene(scene, folder)
     except (SceneFormatError, OSError) as error:
@@ -47,9 +56,18 @@ def cached_street() -> Scene:
     return read_scene(folder)  # so that the first run shows the very numbers of every later one
 
 
+def _is_built_in(name: str | None) -> bool:
+    return name is None or (name == STREET and not Path(name).exists())
+
+
+def _put_into_order(scene: Scene) -> None:
+    for member in (*scene.layers, *scene.actors):
+        put_into_drawing_order(member.gaussians)
+
+
 def _fingerprint() -> str:
     """Parameters and source of the street: another version of it is another cache."""
     digest = hashlib.sha256(msgspec.json.encode(StreetParameters()))
-    for source in sorted(Path(build.__file__).parent.glob("*.py")):
+    for source in (Path(drawing_order.__file__), *sorted(Path(build.__file__).parent.glob("*.py"))):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]

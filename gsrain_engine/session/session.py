@@ -5,7 +5,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -15,6 +15,7 @@ from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import OVERCAST, Rainfall
 from gsrain_engine.render.frame import Color
+from gsrain_engine.render.look import Look
 from gsrain_engine.render.scene_view import Shot
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.errors import SceneFormatError
@@ -24,14 +25,20 @@ from gsrain_engine.scene.scene import Scene
 from .clock import Clock
 from .history import Document, History
 from .home_camera import default_path, home_camera, scene_bounds
+from .interaction_budget import EXACT, Detail, InteractionBudget
 from .log import LogLines
 from .navigation import Navigation
-from .open_scene import open_scene
+from .open_scene import open_to_draw
 from .rainy_look_job import RainyLookJob
 
 logger = logging.getLogger("gsrain")
 
 _VIEW_SIZE = (960, 640)  # shape of the picture that home cameras are chosen for
+
+WindowBackend = Literal["auto", "opengl", "cpu"]
+
+Split = Literal["off", "clear | rainy", "before | after"]
+"""before: the document before the last step of its history."""
 
 
 @dataclass(slots=True)
@@ -49,6 +56,11 @@ class ViewOptions:
     """Let the intensity slider go on to 100 mm/h."""
     follow_path: bool = False
     """Ride along the camera path instead of flying by hand."""
+    look: Look = "splats"
+    split: Split = "off"
+    """Which two pictures stand side by side."""
+    divider: float = 0.5
+    """Where the left one ends, as a share of the width."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,15 +69,28 @@ class StagedScene:
 
     label: str
     scene: Scene
+    is_opened: bool = False
+    """Whether it takes the place of the present document instead of being a step of it."""
+
+
+class Side(NamedTuple):
+    """What one side of the viewport shows."""
+
+    label: str
+    scene: Scene
+    rainfall: Rainfall
 
 
 class Session:
     """One open scene and everything around it. Only the main thread touches it."""
 
-    def __init__(self, scene: Scene, rain: Rain | None = None) -> None:
+    def __init__(self, scene: Scene | None = None, rain: Rain | None = None) -> None:
+        """Begin with a scene, or with an empty one."""
+        scene = scene or Scene("no scene")
         self.clock = Clock()
         self.navigation = Navigation()
         self.view = ViewOptions()
+        self.budget = InteractionBudget()
         self.log = LogLines()
         logger.setLevel(logging.INFO)
         logger.addHandler(self.log)
@@ -78,6 +103,10 @@ class Session:
         """What draws the viewport."""
         self.statistics: dict[str, float] = {}
         """Figures of the last frame, by name: the Statistics panel shows them in this order."""
+        self.detail: Detail = EXACT
+        """How much of the exact picture the viewport shows now."""
+        self.problem: str | None = None
+        """Why the last scene could not be opened; stays until another one is."""
         self.path: CameraPath | None = None
         self.screenshot: Path | None = None
         """Where the live view saves its next picture."""
@@ -86,6 +115,7 @@ class Session:
         self._saving: tuple[Path, Future[None]] | None = None
         self.history = History.beginning_with(Document(scene, rain or load_preset("clear")))
         self.rainfall = Rainfall.start(self.rain)
+        self._other_rainfalls: dict[Rain, Rainfall] = {}
         self._scene_of_sky = scene
         self._enter_scene()
 
@@ -143,7 +173,8 @@ class Session:
         """Read a scene in the background and go to it; what goes wrong is logged, and the present scene stays."""
         if self._opening is None:
             logger.info("Opening %s", path)
-            self._opening = path, self._files.submit(open_scene, path)
+            self.problem = None
+            self._opening = path, self._files.submit(open_to_draw, path)
 
     def save(self, path: Path) -> None:
         """Write the scene, with its rain, in the background."""
@@ -156,6 +187,8 @@ class Session:
         """What is being read or written, None when nothing is."""
         if self._opening is not None:
             return f"Opening {self._opening[0]}"
+        if self.staged is not None and self.staged.is_opened:
+            return f"Uploading {self.staged.label}"
         return f"Saving {self._saving[0]}" if self._saving is not None else None
 
     @property
@@ -183,8 +216,13 @@ class Session:
 
     def swap_in(self) -> None:
         """Show the staged scene: its Gaussians are where the next frame needs them."""
-        if self.staged is not None:
-            staged, self.staged = self.staged, None
+        if self.staged is None:
+            return
+        staged, self.staged = self.staged, None
+        if staged.is_opened:
+            self._go_to(staged.scene)
+            logger.info("Opened %s: %s Gaussians", staged.label, f"{staged.scene.gaussian_count:,}")
+        else:
             self.set_scene(staged.label, staged.scene)
             logger.info("%s: done", staged.label)
 
@@ -200,6 +238,19 @@ class Session:
                 self.staged = StagedScene(self.job.title, self.job.result)
             elif self.job.error is not None:
                 logger.error("%s failed: %s", self.job.title, self.job.error)
+
+    @property
+    def sides(self) -> list[Side]:
+        """What the viewport shows: one side, or two from left to right."""
+        here = Side("", self.scene, self.rainfall)
+        if self.view.split == "clear | rainy":
+            clear = msgspec.structs.replace(self.rain, intensity_mm_h=0.0)
+            return [Side("clear", self.scene, self._rainfall_of(clear)), here._replace(label="rainy")]
+        if self.view.split == "before | after":
+            before = self.history.previous
+            left = Side(f"before: {self.history.undo_label or 'nothing'}", before.scene, self._rainfall_of(before.rain))
+            return [left, here._replace(label="after")]
+        return [here]
 
     def shot(self, width: int, height: int, focal_scale: float = 1.0) -> Shot:
         """What the viewport shows now; `focal_scale` is output size over drawn size."""
@@ -241,6 +292,13 @@ class Session:
         self._files.shutdown(wait=True, cancel_futures=True)
         logger.removeHandler(self.log)
 
+    def _rainfall_of(self, rain: Rain) -> Rainfall:
+        if rain == self.rain:
+            return self.rainfall
+        if rain not in self._other_rainfalls:
+            self._other_rainfalls = {rain: Rainfall.start(rain)}
+        return self._other_rainfalls[rain]
+
     def _follow_document(self) -> None:
         if self.scene is not self._scene_of_sky:
             self._scene_of_sky, self.sky_is_stale = self.scene, True
@@ -257,11 +315,11 @@ class Session:
             (path, future), self._opening = self._opening, None
             try:
                 scene = future.result()
-            except (SceneFormatError, OSError) as error:
+            except (SceneFormatError, OSError, MemoryError) as error:
+                self.problem = str(error)
                 logger.error("%s", error)
             else:
-                self._go_to(scene)
-                logger.info("Opened %s: %d Gaussians", path, scene.gaussian_count)
+                self.staged = StagedScene(path, scene, is_opened=True)
         if self._saving is not None and self._saving[1].done():
             (target, saved), self._saving = self._saving, None
             try:
@@ -273,7 +331,6 @@ class Session:
 
     def _go_to(self, scene: Scene) -> None:
         self.cancel_job()
-        self.staged = None
         rain = self.rain
         try:
             rain = msgspec.convert(scene.rain, Rain) if scene.rain is not None else rain

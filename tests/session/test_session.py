@@ -19,9 +19,10 @@ def session():
 
 
 def settle(session):
-    """Let background work end and take it in."""
+    """Let background work end and take it in, without a live view that would upload it first."""
     wait(session.pending_files, timeout=60)
     session.update(0.0)
+    session.swap_in()
 
 
 def test_rain_changes_are_undone_and_the_rainfall_follows(session):

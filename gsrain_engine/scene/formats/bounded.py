@@ -7,6 +7,7 @@ from pathlib import Path
 import zstandard
 
 from ..errors import SceneFormatError
+from .memory import check_room, gaussian_bytes
 
 _LARGEST_EXPANSION = 200
 """Gaussians in memory over bytes of their file. Real SPZ and SOG scenes expand 6 to 30 times, bombs 1000 and more."""
@@ -17,17 +18,18 @@ _LARGEST_ZSTD_WINDOW = 2**27
 
 
 def check_expansion(path: Path, count: int, coefficients: int, file_bytes: int) -> None:
-    """Refuse a header that asks for out of all proportion more memory than its file can fill with data.
+    """Refuse a header that asks for more memory than its file can fill with data, out of all proportion, or than is free.
 
     `count` Gaussians have `coefficients` spherical harmonics a colour. Call it before anything of that size is made.
     """
-    wanted = 4 * count * (3 + 3 + 4 + 1 + 3 * coefficients)
+    wanted = gaussian_bytes(count, coefficients)
     if wanted > max(_ALWAYS_ALLOWED_BYTES, _LARGEST_EXPANSION * file_bytes):
         raise SceneFormatError(
             path,
             f"the header speaks of {count} Gaussians ({wanted / 1e9:.1f} GB), "
             f"which can't be in a file of {file_bytes} bytes",
         )
+    check_room(path, count, coefficients)
 
 
 def gunzip_start(path: Path, data: bytes, size: int) -> bytes:

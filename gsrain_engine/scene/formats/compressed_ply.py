@@ -10,6 +10,7 @@ from jaxtyping import Float32, UInt
 from ..errors import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians
 from .checks import check_finite, checked_gaussians
+from .memory import check_room
 from .ply_header import PlyElement, element_rows
 from .smallest_three import with_largest
 
@@ -39,6 +40,7 @@ def read_compressed(path: Path, file: BufferedReader, elements: dict[str, PlyEle
     Raises:
         SceneFormatError: When a property is missing, counts contradict one another or bounds are not finite.
     """
+    check_room(path, elements["vertex"].rows, COEFFICIENTS_OF_DEGREE[-1] if "sh" in elements else 1)
     rows = _read(path, file, elements["vertex"], _PACKED)
     packed = {name: _unsigned(path, rows, name, "uint32") for name in _PACKED}
     chunk = elements["chunk"]

@@ -10,6 +10,7 @@ from jaxtyping import Float32, Shaped
 from ..errors import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians
 from .checks import checked_gaussians
+from .memory import check_room
 
 _HEADER_BYTES = 4096
 _HEADER = struct.Struct("<BBxxIIIIHxx3fff")
@@ -62,6 +63,7 @@ def read_ksplat(path: Path) -> Gaussians:
     """
     data = path.read_bytes()
     header = _read_header(path, data)
+    check_room(path, header.count, COEFFICIENTS_OF_DEGREE[_LARGEST_DEGREE])
     start = _HEADER_BYTES + _SECTION_BYTES * header.sections
     parts: list[Gaussians] = []
     for index in range(header.sections):

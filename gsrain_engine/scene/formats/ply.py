@@ -12,6 +12,7 @@ from ..errors import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from .checks import check_finite, checked_gaussians
 from .compressed_ply import is_compressed, read_compressed
+from .memory import check_room
 from .ply_header import PlyElement, element_rows, read_ply_header
 
 _MEANS = ("x", "y", "z")
@@ -66,6 +67,7 @@ def _read_vertices(path: Path, file: BufferedReader, vertex: PlyElement) -> Gaus
     dtype, offset = element_rows(path, vertex)
     coefficients = _coefficients(path, dtype)
     n = vertex.rows
+    check_room(path, n, coefficients)
     means, scales, quaternions = (np.empty((n, size), np.float32) for size in (3, 3, 4))
     opacities = np.empty(n, np.float32)
     sh = np.empty((n, coefficients, 3), np.float32)

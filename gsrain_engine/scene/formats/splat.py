@@ -8,6 +8,7 @@ from jaxtyping import Float32, UInt8
 from ..errors import SceneFormatError
 from ..gaussians import SH_C0, Gaussians, sh_from_color
 from .checks import checked_gaussians
+from .memory import check_room
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quaternion", "u1", 4)])
 """Scales are linear, rgba is display colour and opacity over 255, the quaternion is (w, x, y, z) * 128 + 128."""
@@ -24,6 +25,7 @@ def read_splat(path: Path) -> Gaussians:
         raise SceneFormatError(
             path, f"a .splat has {_ROW.itemsize} bytes a Gaussian; {size} bytes are no whole number of them above 0"
         )
+    check_room(path, size // _ROW.itemsize, 1)
     rows = np.frombuffer(path.read_bytes(), _ROW)
     quaternions = rows["quaternion"].astype(np.float32) - np.float32(128)
     rgba = rows["rgba"] / np.float32(255)

@@ -1,0 +1,88 @@
+"""A session in the window: the live view, the panels, the menus. Importing this loads the engine."""
+
+import logging
+
+import moderngl
+from imgui_bundle import hello_imgui, imgui
+
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.session.live_view import LiveView
+from gsrain_engine.session.session import Session, WindowBackend
+from ui.menus import Menus
+from ui.panels import PANELS
+from ui.shortcuts import chord, handle_shortcuts
+from ui.status_bar import status_bar
+from ui.viewport_panel import viewport_panel
+
+logger = logging.getLogger("gsrain")
+
+_SPACES = {"right": "RightSpace", "right bottom": "RightBottomSpace"}
+_LONGEST_STEP_S = 0.25
+"""After a stall time goes on by no more than this, so that nothing leaps."""
+
+
+def begin_session(scene: str | None, rain: Rain | None) -> Session:
+    """Begin a session that opens a scene in the background; none is the built-in street."""
+    session = Session(rain=rain)
+    session.open(scene or "street")
+    return session
+
+
+class Workspace:
+    """What is drawn into the window once everything is loaded."""
+
+    def __init__(self, session: Session, context: moderngl.Context, backend: WindowBackend) -> None:
+        self.session = session
+        self.view = LiveView(context, session, backend)
+        self._menus = Menus(session)
+        self._last_problem = ""
+
+    def dockable_windows(self) -> list[hello_imgui.DockableWindow]:
+        """One for each panel."""
+        windows: list[hello_imgui.DockableWindow] = []
+        for panel in PANELS:
+            window = hello_imgui.DockableWindow(
+                panel.title, _SPACES[panel.side], lambda panel=panel: panel.draw(self.session)
+            )
+            is_first_there = panel.side not in [each.side for each in PANELS[: PANELS.index(panel)]]
+            window.focus_window_at_next_frame = is_first_there
+            windows.append(window)
+        return windows
+
+    def update(self) -> None:
+        """Let time go by. Once a frame, before anything is drawn."""
+        session = self.session
+        session.update(min(imgui.get_io().delta_time, _LONGEST_STEP_S))
+        idling = hello_imgui.get_runner_params().fps_idling
+        resting = not (session.clock.playing or session.is_working or session.budget.is_settling)
+        idling.enable_idling = resting and self.view.is_settled
+        hello_imgui.get_runner_params().app_window_params.window_title = f"GSRAIN: {session.scene.name}"
+
+    def draw_menus(self) -> None:
+        """Draw into the menu bar."""
+        self._menus.draw()
+
+    def draw_status(self) -> None:
+        """Draw into the status bar."""
+        status_bar(self.session)
+
+    def draw_viewport(self) -> None:
+        """Draw the viewport, and act on keys."""
+        handle_shortcuts(self.session)
+        if imgui.is_key_chord_pressed(chord(imgui.Key.mod_ctrl, imgui.Key.o)):
+            self._menus.ask_what_to_open()
+        if imgui.is_key_chord_pressed(chord(imgui.Key.mod_ctrl, imgui.Key.s)):
+            self._menus.ask_where_to_save()
+        self._menus.answer()
+        viewport_panel(self.session, self._textures)
+
+    def _textures(self, width: int, height: int) -> list[int]:
+        try:
+            textures = self.view.draw(width, height)
+        except MemoryError as problem:  # a scene too large for the driver: say so once, and keep the last picture
+            if str(problem) != self._last_problem:
+                self._last_problem = str(problem)
+                self.session.problem = str(problem)
+                logger.error("%s", problem)
+            textures = self.view.last_textures
+        return [texture.glo for texture in textures]

@@ -1,0 +1,49 @@
+"""A scene that can't fit says so before anything of its size is made."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.scene.formats import read_scene
+from gsrain_engine.scene.formats.gaussian_files import write_gaussians
+from gsrain_engine.scene.formats.memory import check_room
+from gsrain_engine.scene.gaussians import Gaussians
+
+
+def some(count=100):
+    f, rng = np.float32, np.random.default_rng(0)
+    quaternions = np.tile(np.array([1, 0, 0, 0], f), (count, 1))
+    numbers = rng.uniform(0.1, 0.9, (count, 23)).astype(f)
+    return Gaussians(numbers[:, :3], numbers[:, 3:6], quaternions, numbers[:, 6], numbers[:, 7:19].reshape(-1, 4, 3))
+
+
+@pytest.fixture
+def free_bytes(monkeypatch):
+    def only(count):
+        memory = SimpleNamespace(available=count)
+        monkeypatch.setattr("gsrain_engine.scene.formats.memory.psutil.virtual_memory", lambda: memory)
+
+    return only
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz"])
+def test_every_format_looks_before_it_reads(tmp_path, free_bytes, suffix):
+    path = tmp_path / f"scene{suffix}"
+    write_gaussians(some(), path)
+    read_scene(path)
+    free_bytes(1000)
+    with pytest.raises(SceneFormatError, match=r"100 Gaussians need 0.0 GB of memory .*, 0.0 GB are free"):
+        read_scene(path)
+
+
+def test_what_just_fits_is_opened_and_big_scenes_are_announced(tmp_path, free_bytes, caplog):
+    caplog.set_level("INFO", logger="gsrain")
+    needed = 1.6 * 236 * 1_000_000
+    free_bytes(needed)
+    check_room(tmp_path / "big.ply", 1_000_000, 16)
+    assert caplog.messages == ["big.ply: 1,000,000 Gaussians, 0.2 GB"]
+    free_bytes(needed - 1)
+    with pytest.raises(SceneFormatError, match=r"1,000,000 Gaussians need 0.4 GB"):
+        check_room(tmp_path / "big.ply", 1_000_000, 16)
