@@ -79,10 +79,10 @@ class Workspace:
     def _textures(self, width: int, height: int) -> list[int]:
         try:
             textures = self.view.draw(width, height)
-        except MemoryError as problem:  # a scene too large for the driver: say so once, and keep the last picture
+        except Exception as problem:  # whatever a driver or a scene does: say it once, keep picture and window
             if str(problem) != self._last_problem:
                 self._last_problem = str(problem)
                 self.session.problem = str(problem)
-                logger.error("%s", problem)
+                logger.error("%s", problem, exc_info=not isinstance(problem, MemoryError))
             textures = self.view.last_textures
         return [texture.glo for texture in textures]

@@ -19,6 +19,7 @@ uniform vec3 camera_in_object;    // centre of projection in the Gaussians' own 
 uniform mat3 camera_to_world;
 uniform vec3 layer_color;
 uniform bool is_rain;
+uniform float growth;             // of each Gaussian, where others are left out
 uniform int look;                 // 0 the picture, else LOOK_*
 
 const int LOOK_POINTS = 1, LOOK_NORMALS = 2, LOOK_OPACITY = 3, LOOK_LAYERS = 4;
@@ -78,7 +79,7 @@ void main() {
         vec3 p = (object_to_camera * vec4(mean_opacity.xyz, 1.0)).xyz;
         if (p.z > near) {
             mat3 axes = mat3(object_to_camera) * rotation_matrix(quaternions[i]);
-            vec3 s = vec3(scales[3u * i], scales[3u * i + 1u], scales[3u * i + 2u]);
+            vec3 s = growth * vec3(scales[3u * i], scales[3u * i + 1u], scales[3u * i + 2u]);
             float opacity = min(mean_opacity.w, 1.0);
             mat3 extents = mat3(axes[0] * s.x, axes[1] * s.y, axes[2] * s.z);
             visible = project(p, extents, opacity, is_rain, look == LOOK_POINTS, splat);

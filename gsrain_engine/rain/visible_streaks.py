@@ -35,7 +35,8 @@ def make_visible_streaks(
         np.ascontiguousarray(camera.world_to_camera), camera.position, edges, numbers, most, rows, kept,
     )  # fmt: skip
     rows = rows[np.flatnonzero(kept)]
-    return Streaks(*(np.ascontiguousarray(rows[:, a:b]) for a, b in ((0, 3), (3, 6), (6, 10))), rows[:, 10].copy())
+    means, scales, quaternions = (np.ascontiguousarray(rows[:, a:b]) for a, b in ((0, 3), (3, 6), (6, 10)))
+    return Streaks(means, scales, quaternions, rows[:, 10].copy())
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")

@@ -65,7 +65,7 @@ class CudaArrays:
         colors = torch.clamp(torch.einsum("nk,nkc->nc", basis, sh) + 0.5, min=0)
         return CameraSpace(
             means @ linear + shift,
-            scales * scale,
+            scales * (scale * part.growth),
             quaternions @ self._uploaded(_product_matrix(turn)),
             opacities,
             colors,

@@ -102,6 +102,7 @@ class ProjectionPass:
     def _dispatch(self, shader: moderngl.ComputeShader, part: Part, camera: Camera, first: int) -> None:
         gaussians = part.gaussians
         object_to_camera = camera.world_to_camera @ part.to_world
+        shader["growth"] = part.growth
         shader["coefficients"] = gaussians.sh.shape[1]
         shader["object_to_camera"] = tuple(object_to_camera.T.ravel())
         shader["camera_in_object"] = tuple(np.linalg.inv(object_to_camera)[:3, 3])

@@ -1,6 +1,5 @@
 """A scene in its rain, seen from a camera at a moment: the one way in which window and command line draw."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +13,7 @@ from gsrain_engine.scene.scene import Scene
 from .frame import Color
 from .look import Look
 from .renderer import Renderer
+from .thinning import Thinning
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,16 +37,16 @@ def draw_shot(
     *,
     with_depth: bool = False,
     look: Look = "splats",
-    share: float = 1.0,
+    thinning: Thinning | None = None,
 ) -> None:
     """Draw a scene in its rain into the renderer's picture, or with another look without it.
 
-    `share` draws only the first of each part's Gaussians, which matter most where they are in their drawing order.
+    `thinning` leaves out some of each part's Gaussians.
     """
     falling = rain_in(scene, rainfall, sky, shot) if look == "splats" else None
     parts = scene.parts(shot.time_s)
-    if share < 1:
-        parts = [part._replace(limit=math.ceil(share * len(part.gaussians))) for part in parts]
+    if thinning is not None:
+        parts = [thinning(part) for part in parts]
     renderer.draw(parts, shot.camera, falling, with_depth=with_depth, look=look)
 
 

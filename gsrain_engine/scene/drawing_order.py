@@ -11,7 +11,7 @@ from .bounds import robust_bounds
 from .gaussians import Gaussians
 
 LEVELS = (1 / 8, 1 / 4, 1 / 2, 1.0)
-"""Shares of all Gaussians that a level ends at: drawing only the first so many leaves out what contributes least."""
+"""Shares of all Gaussians that a level ends at."""
 
 
 _CELLS = 1024
@@ -26,13 +26,15 @@ def level_ends(count: int) -> tuple[int, ...]:
 def drawing_order(gaussians: Gaussians) -> UInt32[np.ndarray, " n"]:
     """Tell which Gaussian comes at each place.
 
-    Each level holds those of the rest that contribute most: opacity times s1 s2 + s2 s3 + s3 s1, in proportion to the
-    mean of the ellipsoid's three cross-sections, so that it knows no view. Inside a level they follow a Morton curve of
-    2^30 cells over the robust bounds (Morton 1966): what is drawn together is read together. Equals keep their order.
-    What is not finite contributes nothing. The same at any number of threads. Memory: 12 bytes a Gaussian.
+    A level is a weighted sample without replacement of what is left (Efraimidis and Spirakis 2006), the weight being
+    what a Gaussian contributes: opacity times s1 s2 + s2 s3 + s3 s1, in proportion to the mean of the ellipsoid's three
+    cross-sections, so that it knows no view. What is large comes first, and of a road of a thousand equal Gaussians
+    every level gets its even share instead of a hole. Inside a level they follow a Morton curve of 2^30 cells over the
+    robust bounds (Morton 1966): what is drawn together is read together. What is not finite contributes nothing. The
+    same at any number of threads. Memory: 12 bytes a Gaussian.
     """
     # One 64-bit number a Gaussian, its index below what it is sorted by: no two are equal, so any sort is stable.
-    keys = _largest_first(_contributions(gaussians.scales, gaussians.opacities).view(np.uint32))
+    keys = _largest_first(_ranks(_contributions(gaussians.scales, gaussians.opacities)).view(np.uint32))
     keys.sort()
     box = robust_bounds(gaussians)
     cells_a_unit = _CELLS / np.maximum(box.high - box.low, np.finfo(np.float32).tiny)
@@ -67,6 +69,15 @@ def put_into_drawing_order(gaussians: Gaussians) -> None:
     _permute(gaussians.means, gaussians.scales, gaussians.quaternions, gaussians.opacities[:, None], sh, order)
 
 
+def growth_of(gaussians: Gaussians, share: float) -> float:
+    """How much larger the first of them have to be drawn to cover as much as all do: 1 or more."""
+    if share >= 1 or not len(gaussians):
+        return 1.0
+    contributions = _contributions(gaussians.scales, gaussians.opacities).astype(np.float64)
+    kept = float(contributions[: math.ceil(share * len(gaussians))].sum())
+    return math.sqrt(float(contributions.sum()) / kept) if kept > 0 else 1.0
+
+
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _contributions(scales, opacities):
@@ -77,6 +88,21 @@ def _contributions(scales, opacities):
         if 0 < value < np.inf:
             values[n] = value
     return values
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _ranks(contributions):
+    """Turn weights into what a weighted sample is sorted by: w / -ln(u), u in (0, 1) hashed from the index."""
+    ranks = np.empty(len(contributions), np.float32)
+    for n in numba.prange(len(contributions)):
+        x = np.uint64(n) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x9E3779B97F4A7C15)  # splitmix64 (Steele 2014)
+        x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        x ^= x >> np.uint64(31)
+        u = ((x >> np.uint64(11)) + 0.5) * 2.0**-53
+        ranks[n] = min(contributions[n] / -np.log(u), 3e38)
+    return ranks
 
 
 @numba.njit(parallel=True, cache=True)

@@ -86,6 +86,8 @@ class Part(NamedTuple):
     to_world: Float64[np.ndarray, "4 4"]
     limit: int | None = None
     """Draw only the first so many of them; none draws all."""
+    growth: float = 1.0
+    """Draw them so many times larger, to fill in for those that are left out."""
 
     @property
     def drawn_count(self) -> int:

@@ -16,6 +16,7 @@ from gsrain_engine.render.scene_view import Shot, draw_shot
 from gsrain_engine.render.screen import Screen
 from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.render.splat_renderer import SplatRenderer
+from gsrain_engine.render.thinning import Thinning
 
 from .cpu_picture import CpuPicture
 from .interaction_budget import EXACT, Detail
@@ -49,6 +50,8 @@ class LiveView:
         self._asked_at = 0.0
         self._staged: StagedScene | None = None
         self._upload: Iterator[float] = iter(())
+        self._thinnings: dict[float, Thinning] = {}
+        self._thinned = session.scene
 
     def draw(self, width: int, height: int) -> list[moderngl.Texture]:
         """Draw the present moment for a viewport of a size in pixels: a texture for each of the session's sides.
@@ -66,15 +69,15 @@ class LiveView:
         raining = session.rain.intensity_mm_h > 0
         if session.sky_is_stale and raining and self._can_draw:
             self._look_at_sky(shot)
-        # The right side is the document itself: it comes first, whatever is compared with it.
+        # The last side, on the right, is the document itself: statistics are those of its picture.
         started, has_drawn = time.perf_counter(), False
-        for side, shown in zip(reversed(sides), self._sides, strict=False):
-            has_drawn |= self._show(side, shown, shot, detail)
+        for side, shown in zip(sides, self._sides[-len(sides) :], strict=True):
+            has_drawn = self._show(side, shown, shot, detail)
         if self._cpu is not None and (has_drawn or not self._can_draw) and session.scene.gaussian_count:
             self._cpu.compile()  # after the first picture, which compiling would hold up
         if has_drawn:
             self._tell(1000 * (time.perf_counter() - started), detail)
-        textures = [shown.texture for shown in self._sides[: len(sides)]][::-1]
+        textures = [shown.texture for shown in self._sides[-len(sides) :]]
         self._save_screenshot(textures)
         return textures
 
@@ -86,7 +89,7 @@ class LiveView:
     @property
     def last_textures(self) -> list[moderngl.Texture]:
         """The last pictures, of as many sides as there are."""
-        return [shown.texture for shown in self._sides[: len(self.session.sides)]][::-1]
+        return [shown.texture for shown in self._sides[-len(self.session.sides) :]]
 
     @property
     def _on_cpu(self) -> bool:
@@ -130,11 +133,21 @@ class LiveView:
         if state == shown.state or not self._can_draw:
             return False
         renderer, view = self._renderer, session.view
-        draw_shot(renderer, side.scene, side.rainfall, session.sky, shot, look=view.look, share=detail.gaussians)
+        draw_shot(
+            renderer, side.scene, side.rainfall, session.sky, shot, look=view.look, thinning=self._thinning(detail)
+        )
         picture = self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture
         shown.texture = shown.screen.show(picture, view.background, 2.0**view.gain_ev)
         shown.state = state
         return True
+
+    def _thinning(self, detail: Detail) -> Thinning | None:
+        if detail.gaussians == 1:
+            return None
+        if self._thinned is not self.session.scene:
+            self._thinned = self.session.scene
+            self._thinnings.clear()
+        return self._thinnings.setdefault(detail.gaussians, Thinning(detail.gaussians))
 
     def _tell(self, milliseconds: float, detail: Detail) -> None:
         session, statistics = self.session, self._renderer.statistics

@@ -1,6 +1,8 @@
 """The OpenGL and the CPU back end draw the same: scenes to 50 dB, the rain's own light to 5 % (docs/physics.md)."""
 
+import dataclasses
 from functools import partial
+from typing import get_args
 
 import msgspec
 import numpy as np
@@ -11,6 +13,7 @@ from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import OVERCAST, Rainfall
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
 from gsrain_engine.render.frame import Frame
+from gsrain_engine.render.look import Look
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.scene_view import Shot, draw_shot
 from gsrain_engine.render.sky_color import sky_color
@@ -139,3 +142,31 @@ def test_both_count_the_same(renderers, scene_and_shot):
     assert opengl.gaussians == cpu.gaussians
     assert cpu.splats_drawn == pytest.approx(opengl.splats_drawn, rel=1e-3)
     assert set(cpu.stages_ms) == set(opengl.stages_ms)
+
+
+def test_parts_that_are_thinned_out_are_drawn_the_same(renderers):
+    """Only the first of them, grown: as if the others had never been there."""
+    scene, shot = small_scene(), small_shot()
+    (part,) = scene.parts()
+    thin = part._replace(limit=1000, growth=1.5)
+    first = part.gaussians.take(slice(0, 1000))
+    grown = part._replace(gaussians=dataclasses.replace(first, scales=first.scales * np.float32(1.5)))
+    for renderer in renderers:
+        renderer.draw([grown], shot.camera)
+        expected = renderer.read().rgba
+        renderer.draw([thin], shot.camera)
+        assert renderer.statistics.gaussians == 1000
+        np.testing.assert_allclose(renderer.read().rgba, expected, atol=2e-4)
+
+
+@pytest.mark.parametrize("look", [each for each in get_args(Look) if each != "splats"])
+def test_every_look_agrees(renderers, look):
+    """But for pixels where a threshold falls to one side here and to the other there."""
+    scene, shot = small_scene(), small_shot()
+    pictures: list[np.ndarray] = []
+    for renderer in renderers:
+        renderer.draw(scene.parts(), shot.camera, look=look)
+        pictures.append(renderer.read().rgba)
+    assert np.isfinite(pictures).all()
+    assert pictures[0].std() > 0.01
+    assert np.mean(np.abs(pictures[0] - pictures[1]).max(axis=-1) > 0.02) < 0.02

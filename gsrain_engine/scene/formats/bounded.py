@@ -18,7 +18,7 @@ _LARGEST_ZSTD_WINDOW = 2**27
 
 
 def check_expansion(path: Path, count: int, coefficients: int, file_bytes: int) -> None:
-    """Refuse a header that asks for more memory than its file can fill with data, out of all proportion, or than is free.
+    """Refuse a header that asks for more memory than is free, or than its file can fill out of proportion.
 
     `count` Gaussians have `coefficients` spherical harmonics a colour. Call it before anything of that size is made.
     """
