@@ -6,7 +6,8 @@ import numba
 import numpy as np
 from jaxtyping import Float32
 
-from .compositing import CHECK_EVERY, FAST, MAX_ALPHA, MIN_TRANSMITTANCE, exp_of_negative, is_finished, rows_of
+from .compositing import BATCH, MIN_TRANSMITTANCE, alpha_of, is_finished, rows_of
+from .fast_math import FAST
 from .tiles import TILE, TileLists
 
 
@@ -38,7 +39,10 @@ def _add_pairs(members, by_pair, sums):
 @no_type_check
 def _accumulate(shapes, starts, members, columns, image, by_pair):
     height, width = image.shape[0], image.shape[1]
-    for tile in numba.prange(len(starts) - 1):
+    rows = (len(starts) - 1) // columns
+    for place in numba.prange(len(starts) - 1):
+        # Column by column, as in compositing.
+        tile = place % rows * columns + place // rows
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
         # One line a row: transmittance (0 once finished) and the image's three channels.
         state = np.zeros((TILE, 4 * TILE), np.float32)
@@ -49,7 +53,7 @@ def _accumulate(shapes, starts, members, columns, image, by_pair):
                     state[v, (channel + 1) * TILE + u] = image[y0 + v, x0 + u, channel]
         lanes = np.empty(4 * TILE, np.float32)
         for k in range(starts[tile], starts[tile + 1]):
-            if (k - starts[tile]) % CHECK_EVERY == 0 and is_finished(state):
+            if (k - starts[tile]) % BATCH == 0 and is_finished(state):
                 break
             lanes[:] = 0
             _gather(shapes[members[k]], np.float32(x0 + 0.5), np.float32(y0 + 0.5), state, lanes)
@@ -73,10 +77,7 @@ def _gather(shape, x0, y0, state, lanes):
         line = state[v]
         for u in range(TILE):
             dx = start + np.float32(u)
-            power = sharpness * dx * dx + peak
-            alpha = exp_of_negative(power)
-            alpha = alpha if alpha < MAX_ALPHA else MAX_ALPHA
-            alpha = alpha if power >= log_cut else np.float32(0)
+            alpha = alpha_of(sharpness * dx * dx + peak, log_cut)
             before = line[u]
             weight = before * alpha
             after = before - weight

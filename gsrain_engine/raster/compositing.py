@@ -1,11 +1,14 @@
 """Sorted splats in tiles -> an image, front to back: alpha compositing in SIMD with early termination."""
 
-from typing import NamedTuple, no_type_check
+from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Float32
 
+from .fast_math import FAST, exp_of_negative
+from .rain_light import OPEN, RAIN_LINES, RAIN_SHARE, SCENE_SHARE, add_rain_light
+from .splats import LEAST_SCENE_CUT
 from .tiles import TILE, TileLists
 
 MAX_ALPHA = np.float32(0.999)
@@ -14,11 +17,8 @@ MAX_ALPHA = np.float32(0.999)
 MIN_TRANSMITTANCE = np.float32(1e-4)
 """A pixel is finished before the splat that would leave less than this (3DGS, Kerbl et al. 2023)."""
 
-CHECK_EVERY = 16
+BATCH = 32
 """Splats between two looks at whether a whole tile is finished."""
-
-FAST = {"contract", "nsz", "arcp"}
-"""Rounding freedom of the kernels: fused multiply-add and reciprocals, but infinities and order stay as written."""
 
 
 def composite(
@@ -32,55 +32,27 @@ def composite(
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth = np.empty((tiles.height, tiles.width), np.float32)
-    _composite(shapes, channels, None, tiles.starts, tiles.members, tiles.columns, rgba, fourth, None)
+    _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, None, None)
     return rgba, fourth
 
 
-class SceneInRain(NamedTuple):
-    """A scene as if it were clear, and how much the eye sees of scene and rain through each other."""
-
-    rgba: Float32[np.ndarray, "h w 4"]
-    fourth: Float32[np.ndarray, "h w"]
-    shares: Float32[np.ndarray, "h w 2"]
-    """Of rain, of scene; their sum is what both together cover."""
-
-
 def composite_in_rain(
-    shapes: Float32[np.ndarray, "m 8"], channels: Float32[np.ndarray, "m 4"], is_rain: Bool[np.ndarray, " m"],
+    shapes: Float32[np.ndarray, "m 8"],
+    channels: Float32[np.ndarray, "m 4"],
+    light_linear: Float32[np.ndarray, "3"],
     tiles: TileLists,
-) -> SceneInRain:  # fmt: skip
-    """Blend the scene's splats as `composite` does without the rain's, and gather both shares in the same walk.
+) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+    """Blend the scene's splats as `composite` does, and let rain of one colour fall before and among them.
 
-    With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, a share is the sum of
-    alpha_i T_i over its own splats. Both end with the clear scene: behind what is opaque, no rain is seen either.
+    With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, the share of the scene and
+    that of the rain are the sums of alpha_i T_i over their own splats. Behind what is opaque no rain is seen either.
+    `add_rain_light` makes the picture of them. Returns it, and the fourth channel and alpha of the scene alone.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth = np.empty((tiles.height, tiles.width), np.float32)
-    shares = np.empty((tiles.height, tiles.width, 2), np.float32)
-    _composite(shapes, channels, is_rain, tiles.starts, tiles.members, tiles.columns, rgba, fourth, shares)
-    return SceneInRain(rgba, fourth, shares)
-
-
-@numba.njit(inline="always")
-@no_type_check
-def exp_of_negative(x):
-    """exp(x) for x in [-11.1, 0] to 5e-6 relative, exactly 1 at 0.
-
-    A polynomial of degree 5 for exp(x / 16) on [-0.694, 0] (least squares at Chebyshev nodes), squared four times:
-    nothing in it keeps LLVM from turning it into SIMD. Smaller x count as -11.1, whose exp is below every cut.
-    """
-    x = x if x > np.float32(-11.1) else np.float32(-11.1)
-    x = x * np.float32(0.0625)
-    p = np.float32(0.0058943)
-    p = p * x + np.float32(0.0398607)
-    p = p * x + np.float32(0.16603369)
-    p = p * x + np.float32(0.49990045)
-    p = p * x + np.float32(0.99999476)
-    p = p * x + np.float32(1)
-    p = p * p
-    p = p * p
-    p = p * p
-    return p * p
+    alpha = np.empty((tiles.height, tiles.width), np.float32)
+    _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, light_linear, alpha)
+    return rgba, fourth, alpha
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
@@ -94,40 +66,48 @@ def alpha_of(power, log_cut):
 
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _composite(shapes, channels, is_rain, starts, members, columns, rgba, fourth, shares):
-    """Compiled twice: without rain, where `is_rain` and `shares` are None, and with it."""
+def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_linear, clear_alpha):
+    """Compiled twice: without rain, where the last two are None, and with it."""
     height, width = fourth.shape
-    for tile in numba.prange(len(starts) - 1):
+    rows = (len(starts) - 1) // columns
+    for place in numba.prange(len(starts) - 1):
+        # Threads take ranges: column by column, so that each has sky and road alike.
+        tile = place % rows * columns + place // rows
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
         u0, v0 = np.float32(x0 + 0.5), np.float32(y0 + 0.5)
-        # One line a row: transmittance (0 once finished), four channels, alpha; in rain also the transmittance of
-        # scene and rain together, the rain's share, the scene's share. TILE numbers each.
-        if is_rain is None:
-            state = np.zeros((TILE, 6 * TILE), np.float32)
-        else:
-            state = np.zeros((TILE, 9 * TILE), np.float32)
-            state[: height - y0, 6 * TILE : 6 * TILE + min(TILE, width - x0)] = 1
+        # A row's lines of TILE numbers: transmittance (0 once finished), four channels, alpha; for rain see rain_light.
+        state = np.zeros((TILE, 6 * TILE if light_linear is None else RAIN_LINES * TILE), np.float32)
         state[: height - y0, : min(TILE, width - x0)] = 1
-        for k in range(starts[tile], starts[tile + 1]):
-            if (k - starts[tile]) % CHECK_EVERY == 0 and is_finished(state):
+        if light_linear is not None:
+            state[:, OPEN : OPEN + TILE] = 1
+        # What lies far apart in memory is brought together first: its many misses of the cache then wait at once.
+        near_shapes, near_channels = np.empty((BATCH, 8), np.float32), np.empty((BATCH, 4), np.float32)
+        for first in range(starts[tile], starts[tile + 1], BATCH):
+            if is_finished(state):
                 break
-            n = members[k]
-            if is_rain is None:
-                _blend(shapes[n], channels[n], u0, v0, state)
-            elif is_rain[n]:
-                _blend_rain(shapes[n], u0, v0, state)
-            else:
-                _blend_in_rain(shapes[n], channels[n], u0, v0, state)
+            batch = members[first : min(first + BATCH, starts[tile + 1])]
+            for j in range(len(batch)):
+                for i in range(8):
+                    near_shapes[j, i] = shapes[batch[j], i]
+                for i in range(4):
+                    near_channels[j, i] = channels[batch[j], i]
+            for j in range(len(batch)):
+                if light_linear is not None and near_shapes[j, 6] < LEAST_SCENE_CUT:
+                    _blend_rain(near_shapes[j], u0, v0, state)
+                else:
+                    _blend(near_shapes[j], near_channels[j], u0, v0, state)
         for v in range(min(TILE, height - y0)):
+            line = state[v]
+            if light_linear is not None:
+                for u in range(min(TILE, width - x0)):
+                    clear_alpha[y0 + v, x0 + u] = line[5 * TILE + u]
+                add_rain_light(line, light_linear)
             for u in range(min(TILE, width - x0)):
-                rgba[y0 + v, x0 + u, 0] = state[v, TILE + u]
-                rgba[y0 + v, x0 + u, 1] = state[v, 2 * TILE + u]
-                rgba[y0 + v, x0 + u, 2] = state[v, 3 * TILE + u]
-                rgba[y0 + v, x0 + u, 3] = state[v, 5 * TILE + u]
-                fourth[y0 + v, x0 + u] = state[v, 4 * TILE + u]
-                if shares is not None:
-                    shares[y0 + v, x0 + u, 0] = state[v, 7 * TILE + u]
-                    shares[y0 + v, x0 + u, 1] = state[v, 8 * TILE + u]
+                rgba[y0 + v, x0 + u, 0] = line[TILE + u]
+                rgba[y0 + v, x0 + u, 1] = line[2 * TILE + u]
+                rgba[y0 + v, x0 + u, 2] = line[3 * TILE + u]
+                rgba[y0 + v, x0 + u, 3] = line[5 * TILE + u]
+                fourth[y0 + v, x0 + u] = line[4 * TILE + u]
 
 
 @numba.njit(inline="always")
@@ -182,40 +162,12 @@ def _blend(shape, channels, x0, y0, state):
 
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
-def _blend_in_rain(shape, channels, x0, y0, state):
-    """`_blend` again, with the same bits, and the scene's share under scene and rain together."""
-    first, second, third, fourth = channels[0], channels[1], channels[2], channels[3]
-    x, shear, sharpness, log_cut = shape[0], shape[2], shape[3], shape[6]
-    top, bottom = rows_of(shape, y0)
-    for v in range(top, bottom):
-        dy = np.float32(v) + (y0 - shape[1])
-        peak = shape[5] + shape[4] * dy * dy
-        start = x0 - (x + shear * dy)
-        line = state[v]
-        for u in range(TILE):
-            dx = start + np.float32(u)
-            alpha = alpha_of(sharpness * dx * dx + peak, log_cut)
-            before = line[u]
-            weight = before * alpha
-            after = before - weight
-            is_open = after >= MIN_TRANSMITTANCE
-            line[u] = after if is_open else np.float32(0)
-            weight = weight if is_open else np.float32(0)
-            line[u + TILE] += weight * first
-            line[u + 2 * TILE] += weight * second
-            line[u + 3 * TILE] += weight * third
-            line[u + 4 * TILE] += weight * fourth
-            line[u + 5 * TILE] += weight
-            together = line[u + 6 * TILE]
-            share = together * alpha if is_open else np.float32(0)
-            line[u + 6 * TILE] = together - share if is_open else np.float32(0)
-            line[u + 8 * TILE] += share
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
 def _blend_rain(shape, x0, y0, state):
-    """Let a rain splat take its share; the clear scene does not see it."""
+    """Let a rain splat shine and cover what is behind it; the lines of the clear scene stay as they are.
+
+    Of all that enters a pixel, `taken` meets its first drop here. On its way the scene had covered A of that; the rest
+    sees the drop.
+    """
     x, shear, sharpness, log_cut = shape[0], shape[2], shape[3], shape[6]
     top, bottom = rows_of(shape, y0)
     for v in range(top, bottom):
@@ -225,6 +177,7 @@ def _blend_rain(shape, x0, y0, state):
         line = state[v]
         for u in range(TILE):
             dx = start + np.float32(u)
-            share = line[u + 6 * TILE] * alpha_of(sharpness * dx * dx + peak, log_cut)
-            line[u + 6 * TILE] -= share
-            line[u + 7 * TILE] += share
+            taken = line[u + OPEN] * alpha_of(sharpness * dx * dx + peak, log_cut)
+            line[u + OPEN] -= taken
+            line[u + RAIN_SHARE] += taken * line[u]
+            line[u + SCENE_SHARE] += taken * line[u + 5 * TILE]

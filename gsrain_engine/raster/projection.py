@@ -1,7 +1,6 @@
-"""Gaussians in the world -> splats: what each of them is in one image, sorted by depth."""
+"""Gaussians in the world -> splats: what each of them is in one image."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import no_type_check
 
 import numba
@@ -12,6 +11,7 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Part
 
 from .spherical_harmonics import sh_basis
+from .splats import LOG_RAIN_CUT, LOG_SCENE_CUT, RAIN_ALPHA_CUT, Splats
 
 NEAR_M = 0.2
 """Gaussians whose centre is nearer than this are left out, as in the reference rasterizer."""
@@ -19,90 +19,49 @@ NEAR_M = 0.2
 DILATION_PX2 = 0.3
 """Added to the 2D covariance: the pixel's own footprint (3DGS, Kerbl et al. 2023)."""
 
-SCENE_ALPHA_CUT = 1 / 255
-"""Fainter fragments of the scene are left out, as in the reference rasterizer."""
+_CHUNK = 512
 
-RAIN_ALPHA_CUT = 1 / 65536
-"""The same for rain: a streak's alpha is about 0.01, of which 1/255 would leave nothing."""
+_Flags = Sequence[Bool[np.ndarray, " _"] | None]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Splats:
-    """Gaussians as one camera sees them, nearest first; equal depths keep their index.
-
-    A row of `shapes` holds x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, reach_y. With the pixel centre
-    (u, v) and dy = v - y,
-
-        ln alpha = log_opacity + sharpness_y * dy^2 + sharpness_x * (u - x - shear * dy)^2, cut below log_cut,
-
-    where shear = cov_xy / cov_yy, sharpness_x = -cov_yy / (2 det), sharpness_y = -1 / (2 cov_yy), |dy| <= reach_y: the
-    2D Gaussian row by row, both terms negative, so that no cancellation spoils long needles.
-    """
-
-    shapes: Float32[np.ndarray, "m 8"]
-    colors: Float32[np.ndarray, "m 4"]
-    """Display colour, never negative, and depth along the view axis in metres."""
-    indices: Int64[np.ndarray, " m"]
-    """Which Gaussian it is, counted through all parts in order."""
-
-    def __len__(self) -> int:
-        return len(self.indices)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class UnsortedSplats:
-    """One splat for each Gaussian of all parts, in their order; columns as in `Splats`."""
-
-    depths: Float32[np.ndarray, " n"]
-    """Along the view axis in metres; 0 for what is not drawn, whose other numbers mean nothing."""
-    shapes: Float32[np.ndarray, "n 8"]
-    colors: Float32[np.ndarray, "n 4"]
-
-    def nearest_first(self) -> Splats:
-        """Sort what is drawn by depth."""
-        order = _nearest_first(self.depths)
-        return Splats(*_gathered(self.shapes, self.colors, order), order)
-
-
-def project(
-    parts: Sequence[Part], camera: Camera, rain: Sequence[Bool[np.ndarray, " _"] | None] | None = None
-) -> Splats:
-    """Project Gaussians and sort the visible ones by depth; arguments as in `project_unsorted`."""
-    return project_unsorted(parts, camera, rain).nearest_first()
-
-
-def project_unsorted(
-    parts: Sequence[Part], camera: Camera, rain: Sequence[Bool[np.ndarray, " _"] | None] | None = None
-) -> UnsortedSplats:
+def project(parts: Sequence[Part], camera: Camera, rain: _Flags | None = None, *, as_points: bool = False) -> Splats:
     """Project Gaussians.
 
     EWA splatting (Zwicker et al. 2002) as in 3DGS (Kerbl et al. 2023), with gsplat's limits for off-centre cameras.
-    What is nearer than `NEAR_M`, outside the image, fainter than its cut or not finite is left out.
+    What is nearer than `NEAR_M`, outside the image, fainter than its cut or not finite is left out. Memory is taken
+    for what may be seen only.
 
     Args:
         parts: Gaussians with their similarity to the world (metres).
         camera: Where it is seen from.
         rain: For each part, which of its Gaussians are rain (None: none of them). Rain keeps its integral over the
             image, opacity * sqrt(det / dilated det) (Yu et al. 2024), and is cut at `RAIN_ALPHA_CUT`.
+        as_points: Make each an opaque dot with a standard deviation of one pixel instead.
     """
-    count = sum(len(part.gaussians) for part in parts)
-    depths = np.zeros(count, np.float32)
-    shapes = np.empty((count, 8), np.float32)
-    colors = np.empty((count, 4), np.float32)
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height], np.float64)
-    first = 0
-    for index, part in enumerate(parts):
-        g = part.gaussians
-        last = first + len(g)
-        flags = rain[index] if rain is not None else None
-        object_to_camera = np.ascontiguousarray(camera.world_to_camera @ part.to_world, np.float64)
+    intrinsics = _intrinsics(camera)
+    ways = [np.ascontiguousarray(camera.world_to_camera @ part.to_world, np.float64) for part in parts]
+    found = [_candidates(part, way, intrinsics, as_points) for part, way in zip(parts, ways, strict=True)]
+    count = sum(len(each) for each in found)
+    shapes, colors = np.empty((count, 8), np.float32), np.empty((count, 4), np.float32)
+    indices = np.empty(count, np.int64)
+    first = counted = 0
+    for number, (part, way, own) in enumerate(zip(parts, ways, found, strict=True)):
+        g, last = part.gaussians, first + len(own)
+        flags = rain[number] if rain is not None else None
+        scales = g.scales if part.growth == 1 else g.scales[: part.drawn_count] * np.float32(part.growth)
         _project_part(
-            g.means, g.scales, g.quaternions, g.opacities, g.sh, np.zeros(0, np.bool_) if flags is None else flags,
-            object_to_camera, eye_in_object(camera, part), intrinsics,
-            depths[first:last], shapes[first:last], colors[first:last],
+            own, g.means, scales, g.quaternions, g.opacities, g.sh, np.zeros(0, np.bool_) if flags is None else flags,
+            as_points, way, eye_in_object(camera, part), intrinsics, shapes[first:last], colors[first:last],
         )  # fmt: skip
-        first = last
-    return UnsortedSplats(depths, shapes, colors)
+        indices[first:last] = own + counted
+        first, counted = last, counted + len(g)
+    return Splats(shapes, colors, indices)
+
+
+def _intrinsics(camera: Camera) -> tuple[float, ...]:
+    # A tuple: unpacking an array would count references, which costs more than the whole projection.
+    sizes = camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
+    return tuple(float(size) for size in sizes)
 
 
 def eye_in_object(camera: Camera, part: Part) -> Float64[np.ndarray, "3"]:
@@ -125,49 +84,74 @@ def view_directions(
     return directions
 
 
-def _nearest_first(depths: Float32[np.ndarray, " n"]) -> Int64[np.ndarray, " m"]:
-    visible = np.flatnonzero(depths)
-    # One 64-bit number a splat, depth above index: no two are equal, so any fast sort is a stable one. The bits of a
-    # positive float32 sort like the number itself.
-    keys = (depths[visible].view(np.uint32).astype(np.uint64) << np.uint64(32)) | visible.astype(np.uint64)
-    keys.sort()
-    return (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
+def _candidates(
+    part: Part, object_to_camera: Float64[np.ndarray, "4 4"], intrinsics: tuple[float, ...], as_points: bool
+) -> Int64[np.ndarray, " m"]:
+    """Which Gaussians of a part may be seen: all that are, and few that are not."""
+    g, n = part.gaussians, part.drawn_count
+    flags = np.empty(n, np.bool_)
+    largest = part.growth * np.cbrt(abs(np.linalg.det(object_to_camera[:3, :3])))
+    least = -np.inf if as_points else RAIN_ALPHA_CUT
+    _find_candidates(g.means[:n], g.scales[:n], g.opacities[:n], least, object_to_camera, largest, intrinsics, flags)
+    return np.flatnonzero(flags)
 
 
-@numba.njit(parallel=True, cache=True)
+@numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
-def _gathered(shapes, colors, order):
-    sorted_shapes = np.empty((len(order), 8), np.float32)
-    sorted_colors = np.empty((len(order), 4), np.float32)
-    for n in numba.prange(len(order)):
-        sorted_shapes[n] = shapes[order[n]]
-        sorted_colors[n] = colors[order[n]]
-    return sorted_shapes, sorted_colors
+def _find_candidates(means, scales, opacities, least_opacity, m, scale, intrinsics, flags):
+    """Flag what comes near the image when each Gaussian is taken for a ball as large as its longest axis."""
+    fx, fy, cx, cy, width, height = intrinsics
+    half_x, half_y = 0.5 * width, 0.5 * height
+    # Longest extents in standard deviations, along a line of sight as slanted as `_shape` allows for.
+    extent = np.sqrt(-2 * LOG_RAIN_CUT)
+    slope_x, slope_y = max(cx, width - cx) / fx + 0.15 * width / fx, max(cy, height - cy) / fy + 0.15 * height / fy
+    reach_x = extent * scale * fx * np.sqrt(1 + slope_x * slope_x)
+    reach_y = extent * scale * fy * np.sqrt(1 + slope_y * slope_y)
+    dot = extent * np.sqrt(1 + DILATION_PX2)
+    for chunk in numba.prange((len(means) + _CHUNK - 1) // _CHUNK):
+        for i in range(chunk * _CHUNK, min(len(means), (chunk + 1) * _CHUNK)):
+            x, y, z = means[i, 0], means[i, 1], means[i, 2]
+            px = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+            py = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+            pz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+            s = max(scales[i, 0], scales[i, 1], scales[i, 2])
+            is_near_x = abs(fx * px + (cx - half_x) * pz) <= (half_x + dot) * pz + reach_x * s
+            is_near_y = abs(fy * py + (cy - half_y) * pz) <= (half_y + dot) * pz + reach_y * s
+            flags[i] = pz > NEAR_M and is_near_x and is_near_y and opacities[i] > least_opacity
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _project_part(
-    means, scales, quaternions, opacities, sh, rain, object_to_camera, eye, intrinsics, depths, shapes, colors
+    members, means, scales, quaternions, opacities, sh, rain, as_points, object_to_camera, eye, intrinsics,
+    shapes, colors,
 ):  # fmt: skip
-    """Fill depths (0: left out), shapes and colours of one part. Scalars are float64: 1e12 m squared still fits."""
-    chunk_size = 512
-    for chunk in numba.prange((len(means) + chunk_size - 1) // chunk_size):
+    """Fill shapes and colours of some Gaussians of one part; depth 0 for what is not to be drawn after all."""
+    for chunk in numba.prange((len(members) + _CHUNK - 1) // _CHUNK):
         basis = np.empty(16, np.float32)
-        for i in range(chunk * chunk_size, min(len(means), (chunk + 1) * chunk_size)):
+        for n in range(chunk * _CHUNK, min(len(members), (chunk + 1) * _CHUNK)):
+            i = members[n]
             is_rain = len(rain) > 0 and rain[i]
             depth = _shape(
-                means[i], scales[i], quaternions[i], opacities[i], is_rain, object_to_camera, intrinsics, shapes[i]
-            )
-            if depth > 0 and _color(means[i], sh[i], eye, basis, colors[i]):
-                colors[i, 3] = depth
-                depths[i] = depth
+                means[i], scales[i], quaternions[i], opacities[i], is_rain, as_points, object_to_camera, intrinsics,
+                shapes[n],
+            )  # fmt: skip
+            if not (depth > 0 and _color(means[i], sh[i], eye, basis, colors[n])):
+                for k in range(8):
+                    shapes[n, k] = 0
+                for k in range(3):
+                    colors[n, k] = 0
+                depth = 0.0
+            colors[n, 3] = depth
 
 
-@numba.njit(error_model="numpy")
+@numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def _shape(mean, scale, q, opacity, is_rain, m, intrinsics, shape):
-    """Write one splat's shape; return its depth in metres, or 0 where it is not to be drawn."""
+def _shape(mean, scale, q, opacity, is_rain, as_point, m, intrinsics, shape):
+    """Write one splat's shape; return its depth in metres, or 0 where it is not to be drawn.
+
+    Scalars are float64: 1e12 m squared still fits.
+    """
     fx, fy, cx, cy, width, height = intrinsics
     px = m[0, 0] * mean[0] + m[0, 1] * mean[1] + m[0, 2] * mean[2] + m[0, 3]
     py = m[1, 0] * mean[0] + m[1, 1] * mean[1] + m[1, 2] * mean[2] + m[1, 3]
@@ -175,69 +159,71 @@ def _shape(mean, scale, q, opacity, is_rain, m, intrinsics, shape):
     if not (NEAR_M < pz < 3e38):  # also drops NaN
         return 0.0
 
-    # Local affine approximation of the projection, held back at 1.3 times the field of view.
-    margin_x, margin_y = 0.15 * width / fx, 0.15 * height / fy
-    slope_x = min(max(px / pz, -cx / fx - margin_x), (width - cx) / fx + margin_x)
-    slope_y = min(max(py / pz, -cy / fy - margin_y), (height - cy) / fy + margin_y)
+    # Local affine approximation of the projection, held back at 1.3 times the field of view: two rows that take the
+    # object's axes to pixels.
+    near = 1 / pz
+    margin_x, margin_y = 0.15 * width, 0.15 * height
+    slope_x = min(max(fx * px * near, -cx - margin_x), width - cx + margin_x)
+    slope_y = min(max(fy * py * near, -cy - margin_y), height - cy + margin_y)
+    ux, vx = near * (fx * m[0, 0] - slope_x * m[2, 0]), near * (fy * m[1, 0] - slope_y * m[2, 0])
+    uy, vy = near * (fx * m[0, 1] - slope_x * m[2, 1]), near * (fy * m[1, 1] - slope_y * m[2, 1])
+    uz, vz = near * (fx * m[0, 2] - slope_x * m[2, 2]), near * (fy * m[1, 2] - slope_y * m[2, 2])
     w, x, y, z = np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3])
-    axes = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
-    )
-    xx = xy = yy = 0.0
-    for k in range(3):
-        ax, ay, az = axes[k]
-        s = scale[k]
-        ex = s * (m[0, 0] * ax + m[0, 1] * ay + m[0, 2] * az)
-        ey = s * (m[1, 0] * ax + m[1, 1] * ay + m[1, 2] * az)
-        ez = s * (m[2, 0] * ax + m[2, 1] * ay + m[2, 2] * az)
-        u, v = fx / pz * (ex - slope_x * ez), fy / pz * (ey - slope_y * ez)
-        xx += u * u
-        xy += u * v
-        yy += v * v
-
+    a, b, c = np.float64(scale[0]), np.float64(scale[1]), np.float64(scale[2])
+    u0, v0 = _along(a, 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y), ux, uy, uz, vx, vy, vz)
+    u1, v1 = _along(b, 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x), ux, uy, uz, vx, vy, vz)
+    u2, v2 = _along(c, 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y), ux, uy, uz, vx, vy, vz)
+    xx, xy, yy = u0 * u0 + u1 * u1 + u2 * u2, u0 * v0 + u1 * v1 + u2 * v2, v0 * v0 + v1 * v1 + v2 * v2
     before = max(xx * yy - xy * xy, 0.0)
     xx += DILATION_PX2
     yy += DILATION_PX2
+    if as_point:
+        xx, xy, yy, opacity = 1.0, 0.0, 1.0, np.float32(1)
     determinant = xx * yy - xy * xy
     if not (0 < determinant < np.inf):
         return 0.0
     alpha = min(np.float64(opacity), 1.0)
-    cut = SCENE_ALPHA_CUT
+    log_cut = LOG_SCENE_CUT
     if is_rain:
         alpha *= np.sqrt(before / determinant)
-        cut = RAIN_ALPHA_CUT
-    if not (alpha > cut):
+        log_cut = LOG_RAIN_CUT
+    log_alpha = np.log(alpha)
+    if not (log_alpha > log_cut):
         return 0.0
-    log_alpha, log_cut = np.log(alpha), np.log(cut)
     extent = np.sqrt(2 * (log_alpha - log_cut))  # exact: alpha is the cut at the edge
-    u, v = fx * px / pz + cx, fy * py / pz + cy
+    u, v = fx * px * near + cx, fy * py * near + cy
     reach_x, reach_y = extent * np.sqrt(xx), extent * np.sqrt(yy)
     if not (u + reach_x > 0 and u - reach_x < width and v + reach_y > 0 and v - reach_y < height):
         return 0.0
+    by_yy = 1 / yy
     shape[0], shape[1] = u, v
-    shape[2] = xy / yy
+    shape[2] = xy * by_yy
     shape[3] = -0.5 * yy / determinant
-    shape[4] = -0.5 / yy
+    shape[4] = -0.5 * by_yy
     shape[5], shape[6] = log_alpha, log_cut
     shape[7] = reach_y
     return pz
 
 
-@numba.njit(error_model="numpy")
+@numba.njit(inline="always", error_model="numpy")
+@no_type_check
+def _along(length, x, y, z, ux, uy, uz, vx, vy, vz):
+    """One axis of a Gaussian in the image."""
+    return length * (ux * x + uy * y + uz * z), length * (vx * x + vy * y + vz * z)
+
+
+@numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _color(mean, sh, eye, basis, color):
     """Write the display colour, max(0, sum of harmonics + 0.5); return whether it is finite."""
     x, y, z = mean[0] - eye[0], mean[1] - eye[1], mean[2] - eye[2]
-    length = np.sqrt(x * x + y * y + z * z)
+    by_length = 1 / np.sqrt(x * x + y * y + z * z)
     coefficients = sh.shape[0]
-    sh_basis(np.float32(x / length), np.float32(y / length), np.float32(z / length), coefficients, basis)
-    for channel in range(3):
-        value = np.float32(0.5)
-        for k in range(coefficients):
-            value += basis[k] * sh[k, channel]
-        if not np.isfinite(value):
-            return False
-        color[channel] = max(value, np.float32(0))
-    return True
+    sh_basis(np.float32(x * by_length), np.float32(y * by_length), np.float32(z * by_length), coefficients, basis)
+    red = green = blue = np.float32(0.5)
+    for k in range(coefficients):
+        red += basis[k] * sh[k, 0]
+        green += basis[k] * sh[k, 1]
+        blue += basis[k] * sh[k, 2]
+    color[0], color[1], color[2] = max(red, np.float32(0)), max(green, np.float32(0)), max(blue, np.float32(0))
+    return np.isfinite(red) and np.isfinite(green) and np.isfinite(blue)

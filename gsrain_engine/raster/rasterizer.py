@@ -27,7 +27,7 @@ def rasterize(
     any number of threads.
     """
     splats = project(parts, camera, rain)
-    tiles = bin_into_tiles(splats.shapes, camera.width, camera.height)
+    tiles = bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height)
     rgba, weighted_depth = composite(splats.shapes, splats.colors, tiles)
     return Frame(rgba, expected(weighted_depth, rgba[..., 3]))
 

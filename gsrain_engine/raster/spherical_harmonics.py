@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def sh_basis(x: np.float32, y: np.float32, z: np.float32, coefficients: int, basis: Float32[np.ndarray, "16"]) -> None:
     """Write the harmonics of the unit direction (x, y, z), eye to Gaussian, into the first places of `basis`.

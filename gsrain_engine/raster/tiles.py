@@ -10,6 +10,9 @@ from jaxtyping import Float32, Int32, Int64
 TILE = 16
 """Side of a tile in pixels: a row of it is one 512-bit or two 256-bit vectors of float32."""
 
+BATCH = 32
+"""Splats that are brought together from all over memory before work on them begins: their cache misses wait at once."""
+
 _CHUNKS = 32
 """Parts of the splat list that are counted and written side by side; the result does not depend on it."""
 
@@ -20,7 +23,7 @@ _SLACK_PX = 1e-2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TileLists:
-    """For each tile of an image, row by row, the splats whose ellipse touches it, in the order of the splats."""
+    """For each tile of an image, row by row, the splats whose ellipse touches it, nearest first."""
 
     width: int
     height: int
@@ -39,8 +42,10 @@ class TileLists:
         return -(-self.height // TILE)
 
 
-def bin_into_tiles(shapes: Float32[np.ndarray, "m 8"], width: int, height: int) -> TileLists:
-    """List the splats of each tile; `shapes` as in `Splats`, nearest first.
+def bin_into_tiles(
+    shapes: Float32[np.ndarray, "m 8"], order: Int32[np.ndarray, " drawn"], width: int, height: int
+) -> TileLists:
+    """List the splats of each tile in a given order; `shapes` as in `Splats`.
 
     The test is exact: a tile is listed if and only if a pixel centre's rectangle of it meets the ellipse on which alpha
     is the splat's cut (the idea of Speedy-Splat, Hanson et al. 2025, row by row).
@@ -50,49 +55,83 @@ def bin_into_tiles(shapes: Float32[np.ndarray, "m 8"], width: int, height: int) 
     """
     columns, rows = -(-width // TILE), -(-height // TILE)
     counts = np.zeros((_CHUNKS, columns * rows), np.int64)
-    _count(shapes, columns, rows, counts)
+    _walk(shapes, order, columns, rows, counts, None)
     by_tile = counts.T.ravel()
     ends = np.cumsum(by_tile)
     pairs = int(ends[-1])
     if pairs > _MAX_PAIRS:
-        raise MemoryError(f"{len(shapes)} splats touch {pairs} tiles in all, expected at most {_MAX_PAIRS}")
+        raise MemoryError(f"{len(order)} splats touch {pairs} tiles in all, expected at most {_MAX_PAIRS}")
     places = np.ascontiguousarray((ends - by_tile).reshape(-1, _CHUNKS).T)
     starts = np.append(places[0], pairs)
     members = np.empty(pairs, np.int32)
-    _write(shapes, columns, rows, places, members)
+    _walk(shapes, order, columns, rows, places, members)
     return TileLists(width, height, starts, members)
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
-def _count(shapes, columns, rows, counts):
-    size = (len(shapes) + _CHUNKS - 1) // _CHUNKS
-    for chunk in numba.prange(_CHUNKS):
-        tally = counts[chunk]
-        for n in range(chunk * size, min(len(shapes), (chunk + 1) * size)):
-            top, bottom = _tile_rows(shapes[n], rows)
-            for row in range(top, bottom):
-                left, right = _tile_columns(shapes[n], row, columns)
-                for tile in range(row * columns + left, row * columns + right):
-                    tally[tile] += 1
+def _walk(shapes, order, columns, rows, places, members):
+    """Move each tile's place on by one for each splat that touches it, and write the splat there if `members` is given.
 
-
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check
-def _write(shapes, columns, rows, places, members):
-    size = (len(shapes) + _CHUNKS - 1) // _CHUNKS
+    A chunk of the splats has places of its own: chunks are walked side by side.
+    """
+    size = (len(order) + _CHUNKS - 1) // _CHUNKS
     for chunk in numba.prange(_CHUNKS):
         place = places[chunk]
-        for n in range(chunk * size, min(len(shapes), (chunk + 1) * size)):
-            top, bottom = _tile_rows(shapes[n], rows)
-            for row in range(top, bottom):
-                left, right = _tile_columns(shapes[n], row, columns)
-                for tile in range(row * columns + left, row * columns + right):
-                    members[place[tile]] = n
-                    place[tile] += 1
+        near_shapes = np.empty((BATCH, 8), np.float32)
+        for first in range(chunk * size, min(len(order), (chunk + 1) * size), BATCH):
+            batch = order[first : min(first + BATCH, len(order), (chunk + 1) * size)]
+            for j in range(len(batch)):
+                for i in range(8):
+                    near_shapes[j, i] = shapes[batch[j], i]
+            for j in range(len(batch)):
+                ellipse = _ellipse(near_shapes[j])
+                left, right, top, bottom, is_exact = _box(ellipse, columns, rows)
+                for row in range(top, bottom):
+                    if not is_exact:
+                        left, right = _columns_of_row(ellipse, row, columns)
+                    for tile in range(row * columns + left, row * columns + right):
+                        if members is not None:
+                            members[place[tile]] = batch[j]
+                        place[tile] += 1
 
 
-@numba.njit(error_model="numpy")
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _ellipse(shape):
+    """Where alpha is the cut: centre, reach in x and y, shear, and what each row's extent is made of; float64."""
+    shear, variance, cov_yy = np.float64(shape[2]), -0.5 / np.float64(shape[3]), -0.5 / np.float64(shape[4])
+    depth = np.float64(shape[5]) - shape[6]  # ln(alpha / cut) at the centre
+    cov_xx = variance + shear * shear * cov_yy
+    reach_x = np.sqrt(2 * depth * cov_xx)
+    # The rightmost point is so far below the centre; the leftmost is opposite.
+    turn = reach_x * shear * cov_yy / cov_xx
+    return np.float64(shape[0]), np.float64(shape[1]), reach_x, np.float64(shape[7]), shear, variance, depth, turn
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _box(ellipse, columns, rows):
+    """First and past-the-last tile in x and y, and whether all in between are touched for sure.
+
+    They are where the ellipse lies within the pixel centres of one row or one column of tiles.
+    """
+    x, y, reach_x, reach_y = ellipse[:4]
+    left, right = _tiles_between(x - reach_x, x + reach_x, columns)
+    top, bottom = _tiles_between(y - reach_y, y + reach_y, rows)
+    is_exact = (right - left == 1 and _lies_within(x, reach_x, left)) or (
+        bottom - top == 1 and _lies_within(y, reach_y, top)
+    )
+    return left, right, top, bottom, is_exact
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _lies_within(center, reach, tile):
+    return center - reach >= tile * TILE + 0.5 and center + reach <= (tile + 1) * TILE - 0.5
+
+
+@numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _tiles_between(low, high, count):
     """First and past-the-last of `count` tiles with a pixel centre in [low, high] px, clamped before it becomes int."""
@@ -101,26 +140,15 @@ def _tiles_between(low, high, count):
     return int(min(max(first, 0.0), count)), int(min(max(last + 1, 0.0), count))
 
 
-@numba.njit(error_model="numpy")
+@numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def _tile_rows(shape, rows):
-    return _tiles_between(shape[1] - shape[7], shape[1] + shape[7], rows)
-
-
-@numba.njit(error_model="numpy")
-@no_type_check
-def _tile_columns(shape, row, columns):
+def _columns_of_row(ellipse, row, columns):
     """Tiles of one row that the ellipse touches: its extent in x within the band of the row's pixel centres."""
-    x, shear, sharpness_x, sharpness_y = np.float64(shape[0]), shape[2], np.float64(shape[3]), shape[4]
-    depth = np.float64(shape[5]) - shape[6]  # ln(alpha / cut) at the centre
-    reach = np.float64(shape[7])
-    top = min(max(row * TILE + 0.5 - _SLACK_PX - shape[1], -reach), reach)
-    bottom = max(min((row + 1) * TILE - 0.5 + _SLACK_PX - shape[1], reach), -reach)
-    # The ellipse's rightmost point: cov_xy / sqrt(cov_xx) times its extent; its leftmost is opposite.
-    cov_yy = -0.5 / sharpness_y
-    cov_xx = -0.5 / sharpness_x + shear * shear * cov_yy
-    turn = np.sqrt(2 * depth / cov_xx) * shear * cov_yy
+    x, y, _, reach, shear, variance, depth, turn = ellipse
+    top = min(max(row * TILE + 0.5 - _SLACK_PX - y, -reach), reach)
+    bottom = max(min((row + 1) * TILE - 0.5 + _SLACK_PX - y, reach), -reach)
     at_right, at_left = min(max(turn, top), bottom), min(max(-turn, top), bottom)
-    right = x + shear * at_right + np.sqrt(max(depth + sharpness_y * at_right * at_right, 0.0) / -sharpness_x)
-    left = x + shear * at_left - np.sqrt(max(depth + sharpness_y * at_left * at_left, 0.0) / -sharpness_x)
+    fall = depth / (reach * reach)
+    right = x + shear * at_right + np.sqrt(2 * variance * max(depth - fall * at_right * at_right, 0.0))
+    left = x + shear * at_left - np.sqrt(2 * variance * max(depth - fall * at_left * at_left, 0.0))
     return _tiles_between(left, right, columns)

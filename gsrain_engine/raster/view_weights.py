@@ -11,13 +11,14 @@ from gsrain_engine.scene.scene import Part
 
 from .accumulation import accumulate
 from .compositing import composite
-from .projection import Splats, project
+from .projection import project
+from .splats import Splats
 from .tiles import TileLists, bin_into_tiles
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewWeights:
-    """Splats of one view, sorted and binned: all that is needed to blend any colours, and to go back.
+    """Splats of one view and their tiles: all that is needed to blend any colours, and to go back.
 
     Colours here are linear: the max(0, .) that a renderer puts on a splat's colour is not part of W.
     """
@@ -46,4 +47,4 @@ class ViewWeights:
 def view_weights(parts: Sequence[Part], camera: Camera) -> ViewWeights:
     """Project, sort and bin the parts for one camera (in the world, metres)."""
     splats = project(parts, camera)
-    return ViewWeights(splats, bin_into_tiles(splats.shapes, camera.width, camera.height))
+    return ViewWeights(splats, bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height))

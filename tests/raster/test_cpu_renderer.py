@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from gsrain_engine.rain.rain_gaussians import RainGaussians
-from gsrain_engine.raster.compositing import SceneInRain
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.raster.rain_light import add_rain_light
+from gsrain_engine.raster.rain_light import RAIN_LINES, add_rain_light
 from gsrain_engine.raster.reference import rasterize_in_linear_light_slowly, rasterize_slowly
+from gsrain_engine.raster.tiles import TILE
 from gsrain_engine.render.frame import Frame
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.scene import Part
@@ -119,7 +119,7 @@ def test_the_same_bytes_again_and_at_any_thread_count(mixing):
 def test_counts_and_times_what_it_drew():
     renderer = CpuRenderer()
     renderer.draw(scene(), small_camera(), drops())
-    assert renderer.statistics.gaussians == 200
+    assert renderer.statistics.gaussians == 120
     assert 0 < renderer.statistics.splats_drawn <= 200
     assert list(renderer.statistics.stages_ms) == ["project", "sort", "draw"]
     assert all(value > 0 for value in renderer.statistics.stages_ms.values())
@@ -132,15 +132,15 @@ def test_nothing_at_all_is_an_empty_picture():
 
 
 def test_the_curve_of_light_is_the_standards():
-    # From darkness through both branches' joints to far brighter than white.
+    # From darkness through both branches' joints to far brighter than white; one row of a tile after the other.
     values = np.concatenate([np.linspace(0, 0.1, 2000), np.geomspace(0.1, 1e6, 2000)]).astype(np.float32)
-    rgba = np.repeat(values, 4).reshape(1, -1, 4)
-    rgba[..., 3] = 1
     r = np.random.default_rng(0)
-    shares = np.stack([r.uniform(1e-6, 0.5, rgba.shape[:2]), r.uniform(0.1, 1.2, rgba.shape[:2])], axis=-1)
-    shares = shares.astype(np.float32)
-    got = add_rain_light(SceneInRain(rgba, rgba[..., 0].copy(), shares), LIGHT)
-    wide = shares.astype(np.float64)
-    light = np.minimum(wide[..., 1:], 1) * srgb_to_linear(rgba[..., :3].astype(np.float64)) + wide[..., :1] * LIGHT
-    np.testing.assert_allclose(got[..., :3], linear_to_srgb(light), rtol=3e-6)
-    np.testing.assert_allclose(got[..., 3], wide.sum(axis=-1), rtol=1e-6)
+    for some in values.reshape(-1, TILE):
+        rain, scene, passed = (r.uniform(*ends, TILE).astype(np.float32) for ends in ((1e-6, 0.5), (0, 1), (0.1, 0.2)))
+        row = np.zeros((RAIN_LINES, TILE), np.float32)
+        row[1:4], row[5], row[6], row[7], row[8] = some, 1, passed, rain, scene
+        add_rain_light(row.ravel(), LIGHT)
+        share, rain = scene.astype(np.float64) + passed, rain.astype(np.float64)
+        light = np.minimum(share, 1) * srgb_to_linear(some.astype(np.float64)) + rain * LIGHT[:, None]
+        np.testing.assert_allclose(row[1:4], linear_to_srgb(light), rtol=3e-6)
+        np.testing.assert_allclose(row[5], share + rain, rtol=1e-6)

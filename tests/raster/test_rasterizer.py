@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gsrain_engine.raster.projection import project
 from gsrain_engine.raster.rasterizer import rasterize
 from gsrain_engine.raster.reference import rasterize_slowly, sh_basis_slowly
 from gsrain_engine.scene.camera import Camera, look_at, read_camera
@@ -17,6 +18,7 @@ from gsrain_engine.scene.scene import Part
 from .raster_scenes import random_gaussians, small_camera
 
 HERE = np.eye(4)
+FIELDS = ("means", "scales", "quaternions", "opacities", "sh")
 
 
 def similarity(scale: float, seed: int) -> np.ndarray:
@@ -131,7 +133,7 @@ def test_equal_depths_keep_their_index():
 )
 def test_numbers_that_are_none_neither_crash_nor_smear(field, value, row):
     gaussians = random_gaussians(20, 1, 1)
-    arrays = {name: getattr(gaussians, name).copy() for name in ("means", "scales", "quaternions", "opacities", "sh")}
+    arrays = {name: getattr(gaussians, name).copy() for name in FIELDS}
     arrays[field].reshape(20, -1)[row, -1] = value
     frame = rasterize([Part(Gaussians(**arrays), HERE)], small_camera())
     assert np.isfinite(frame.rgba).all()
@@ -242,3 +244,39 @@ def test_golden_images(case, least_db):
     reference = np.load(folder / f"{case}.reference.npz")["rgb"].astype(np.float64)
     psnr_db = -10 * np.log10(np.mean((frame.rgba[..., :3] - reference) ** 2))
     assert psnr_db > least_db
+
+
+def test_a_limit_draws_the_first_ones_and_indices_count_all():
+    parts = [Part(random_gaussians(80, 1, 1), HERE, 30), Part(random_gaussians(50, 2), HERE)]
+    cut = [Part(parts[0].gaussians.take(slice(0, 30)), HERE), parts[1]]
+    camera = small_camera()
+    np.testing.assert_array_equal(rasterize(parts, camera).rgba, rasterize(cut, camera).rgba)
+    splats, whole = project(parts, camera), project([Part(part.gaussians, HERE) for part in parts], camera)
+    kept = (whole.indices < 30) | (whole.indices >= 80)
+    assert 0 < kept.sum() < len(kept)
+    np.testing.assert_array_equal(splats.indices, whole.indices[kept])
+    np.testing.assert_array_equal(splats.shapes, whole.shapes[kept])
+    np.testing.assert_array_equal(splats.colors, whole.colors[kept])
+
+
+def test_memory_is_taken_for_what_may_be_seen_only():
+    behind = random_gaussians(500, 1, depth_m=(-9, 0.1))
+    aside = random_gaussians(500, 2)
+    aside = Gaussians(aside.means + np.float32([200, 0, 0]), *(getattr(aside, name) for name in FIELDS[1:]))
+    seen = random_gaussians(20, 3)
+    assert len(project([Part(each, HERE) for each in (behind, seen, aside)], small_camera())) == 20
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 1000), size=st.sampled_from([1e-3, 0.5, 20.0]), enlarged=st.sampled_from([0.5, 7.0]))
+def test_no_gaussian_that_is_seen_is_left_out(seed, size, enlarged):
+    g = random_gaussians(200, seed, depth_m=(-2.0, 9.0))
+    wide = np.random.default_rng(seed).uniform(-12, 12, (200, 3)).astype(np.float32)
+    g = Gaussians(g.means + wide, g.scales * np.float32(size), g.quaternions, g.opacities, g.sh)
+    part, camera = moved(g, similarity(enlarged, seed)), small_camera()
+    splats = project([part], camera)
+    found = set(splats.indices[splats.nearest_first()].tolist())
+    for i in range(0, 200, 7):
+        one = Part(part.gaussians.take(np.array([i])), part.to_world)
+        if rasterize_slowly([one], camera).any():
+            assert i in found

@@ -23,10 +23,11 @@ def test_a_tile_is_listed_exactly_where_the_ellipse_touches_it(seed, stretch):
     gaussians = random_gaussians(12, seed)
     gaussians.scales[:, 0] *= stretch
     camera = small_camera(90, 70)
-    shapes = project([Part(gaussians, np.eye(4))], camera).shapes
-    tiles = bin_into_tiles(shapes, 90, 70)
+    splats = project([Part(gaussians, np.eye(4))], camera)
+    tiles = bin_into_tiles(splats.shapes, splats.nearest_first(), 90, 70)
     listed = [set(tiles.members[a:b].tolist()) for a, b in zip(tiles.starts[:-1], tiles.starts[1:], strict=True)]
-    for n, shape in enumerate(shapes):
+    for n in splats.nearest_first():
+        shape = splats.shapes[n]
         # Whole tiles, also where the last ones stick out of the image.
         power = powers_above_the_cut(shape, tiles.columns * TILE, tiles.rows * TILE)
         for tile, members in enumerate(listed):
@@ -49,14 +50,19 @@ def reaches(shape: np.ndarray, column: int, row: int) -> bool:
 
 
 def test_lists_keep_the_order_of_the_splats():
-    shapes = project([Part(random_gaussians(4000, 1), np.eye(4))], small_camera(300, 200)).shapes
-    tiles = bin_into_tiles(shapes, 300, 200)
+    splats = project([Part(random_gaussians(4000, 1), np.eye(4))], small_camera(300, 200))
+    order = splats.nearest_first()
+    tiles = bin_into_tiles(splats.shapes, order, 300, 200)
+    places = np.empty(len(splats), int)
+    places[order] = np.arange(len(order))
     assert tiles.starts[-1] == len(tiles.members) > 4000
     for a, b in zip(tiles.starts[:-1], tiles.starts[1:], strict=True):
-        assert (np.diff(tiles.members[a:b]) > 0).all()
+        assert (np.diff(places[tiles.members[a:b]]) > 0).all()
 
 
-def test_projection_sorts_by_depth():
+def test_splats_are_sorted_by_depth():
     splats = project([Part(random_gaussians(500, 2), np.eye(4))], small_camera())
-    assert len(splats) > 300
-    assert (np.diff(splats.colors[:, 3]) >= 0).all()
+    order = splats.nearest_first()
+    assert len(order) > 300
+    assert (np.diff(splats.colors[order, 3]) >= 0).all()
+    assert (np.diff(splats.indices) > 0).all()

@@ -1,0 +1,62 @@
+"""Gaussians as one camera sees them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int32, Int64
+
+SCENE_ALPHA_CUT = 1 / 255
+"""Fainter fragments of the scene are left out, as in the reference rasterizer."""
+
+RAIN_ALPHA_CUT = 1 / 65536
+"""The same for rain: a streak's alpha is about 0.01, of which 1/255 would leave nothing."""
+
+LOG_SCENE_CUT, LOG_RAIN_CUT = float(np.log(SCENE_ALPHA_CUT)), float(np.log(RAIN_ALPHA_CUT))
+"""What stands in `Splats.shapes`; it tells rain from scene."""
+
+LEAST_SCENE_CUT = np.float32(LOG_SCENE_CUT - 1)
+"""Rain's logarithm is below, the scene's above."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Splats:
+    """Gaussians that one camera may see, in their own order.
+
+    A row of `shapes` holds x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, reach_y. With the pixel centre
+    (u, v) and dy = v - y,
+
+        ln alpha = log_opacity + sharpness_y * dy^2 + sharpness_x * (u - x - shear * dy)^2, cut below log_cut,
+
+    where shear = cov_xy / cov_yy, sharpness_x = -cov_yy / (2 det), sharpness_y = -1 / (2 cov_yy), |dy| <= reach_y: the
+    2D Gaussian row by row, both terms negative, so that no cancellation spoils long needles.
+    """
+
+    shapes: Float32[np.ndarray, "m 8"]
+    colors: Float32[np.ndarray, "m 4"]
+    """Display colour, never negative, and depth along the view axis in metres.
+
+    All 0 for the few that turn out not to be seen: those are not drawn."""
+    indices: Int64[np.ndarray, " m"]
+    """Which Gaussian it is, counted through all parts in order, rising; those beyond a part's limit count too."""
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    @property
+    def is_rain(self) -> Bool[np.ndarray, " m"]:
+        """Which of them are rain."""
+        return self.shapes[:, 6] < LEAST_SCENE_CUT
+
+    def nearest_first(self) -> Int32[np.ndarray, " drawn"]:
+        """Rows that are drawn, sorted by depth; equal depths keep their index.
+
+        One 64-bit number each, depth above row: no two are equal, so any fast sort is a stable one. The bits of a
+        positive float32 sort like the number itself.
+        """
+        depths = np.ascontiguousarray(self.colors[:, 3])
+        rows = np.flatnonzero(depths)
+        keys = depths[rows].view(np.uint32).astype(np.uint64)
+        keys <<= np.uint64(32)
+        keys |= rows.astype(np.uint64)
+        keys.sort()
+        return keys.astype(np.uint32).view(np.int32)  # the lower halves

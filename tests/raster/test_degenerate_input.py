@@ -1,0 +1,125 @@
+"""What no scene should hold, and some do."""
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from gsrain_engine.rain.rain_gaussians import RainGaussians
+from gsrain_engine.raster.cpu_renderer import CpuRenderer
+from gsrain_engine.raster.projection import NEAR_M, project
+from gsrain_engine.raster.reference import rasterize_slowly
+from gsrain_engine.render.frame import Frame
+from gsrain_engine.render.look import Look
+from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.scene import Part
+
+from .raster_scenes import random_gaussians, small_camera
+
+COUNT = 40
+HERE = np.eye(4)
+FIELDS = ("means", "scales", "quaternions", "opacities", "sh")
+LOOKS: tuple[Look, ...] = ("splats", "points", "ellipsoids", "normals", "opacity", "overdraw")
+
+just_before, just_behind = (float(np.nextafter(np.float32(NEAR_M), np.float32(end))) for end in (0, 1))
+strange_numbers = st.sampled_from(
+    [np.nan, np.inf, -np.inf, 0.0, -0.0, 1e-45, 1e-30, 1e12, 1e19, 3e38, -3e38, 1.0, -1.0, just_before, just_behind]
+)
+changes = st.lists(
+    st.tuples(st.sampled_from(FIELDS), st.integers(0, COUNT - 1), st.integers(0, 11), strange_numbers),
+    min_size=1,
+    max_size=8,
+)
+
+
+def changed(gaussians: Gaussians, what: list[tuple[str, int, int, float]]) -> Gaussians:
+    arrays = {name: getattr(gaussians, name).copy() for name in FIELDS}
+    for name, row, column, value in what:
+        flat = arrays[name].reshape(COUNT, -1)
+        flat[row, column % flat.shape[1]] = value
+    return Gaussians(**arrays)
+
+
+def drawn(gaussians: Gaussians, look: Look = "splats", rain: RainGaussians | None = None) -> Frame:
+    renderer = CpuRenderer()
+    renderer.draw([Part(gaussians, HERE)], small_camera(), rain, with_depth=True, look=look)
+    return renderer.read()
+
+
+def is_sound(frame: Frame) -> bool:
+    assert frame.depth is not None
+    finite = np.isfinite(frame.rgba).all() and np.isfinite(frame.depth).all()
+    return bool(finite and frame.rgba.min() >= 0 and frame.rgba[..., 3].max() <= 1 + 1e-5)
+
+
+@settings(max_examples=60)
+@given(what=changes, look=st.sampled_from(LOOKS))
+@example(what=[("means", 0, 2, just_before), ("means", 1, 2, just_behind)], look="splats")
+def test_pictures_stay_finite_and_repeat_themselves(what, look):
+    gaussians = changed(random_gaussians(COUNT, 1, 1), what)
+    frame = drawn(gaussians, look)
+    assert is_sound(frame)
+    again = drawn(gaussians, look)
+    assert frame.rgba.tobytes() == again.rgba.tobytes()
+    assert frame.depth.tobytes() == again.depth.tobytes()
+
+
+@settings(max_examples=30)
+@given(what=changes, mixing=st.sampled_from(["linear", "display"]))
+def test_strange_rain_stays_finite_and_repeats_itself(what, mixing):
+    drops = changed(random_gaussians(COUNT, 2, 1), [each for each in what if each[0] != "sh"])
+    rain = RainGaussians(drops, np.ones(3, np.float32), mixing, COUNT, 0)
+    frame = drawn(random_gaussians(COUNT, 1, 1), rain=rain)
+    assert is_sound(frame)
+    assert frame.rgba.tobytes() == drawn(random_gaussians(COUNT, 1, 1), rain=rain).rgba.tobytes()
+
+
+@settings(max_examples=60)
+@given(what=changes)
+def test_what_is_left_out_leaves_the_others_alone(what):
+    gaussians = changed(random_gaussians(COUNT, 1, 1), what)
+    splats = project([Part(gaussians, HERE)], small_camera())
+    seen = np.sort(splats.indices[splats.nearest_first()])
+    np.testing.assert_array_equal(drawn(gaussians).rgba, drawn(gaussians.take(seen)).rgba)
+    touched = {row for _, row, _, _ in what}
+    whole = project([Part(random_gaussians(COUNT, 1, 1), HERE)], small_camera())
+    visible = set(whole.indices[whole.nearest_first()].tolist())
+    assert visible - touched == set(seen.tolist()) - touched
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("field", FIELDS)
+def test_what_is_not_finite_is_left_out(field, value):
+    gaussians = random_gaussians(COUNT, 1, 1)
+    for column in range(getattr(gaussians, field).reshape(COUNT, -1).shape[1]):
+        frame = drawn(changed(gaussians, [(field, 7, column, value)]))
+        if field == "opacities" and value == np.inf:  # opaque, no more
+            expected = drawn(changed(gaussians, [(field, 7, 0, 1.0)]))
+        else:
+            expected = drawn(gaussians.take(np.delete(np.arange(COUNT), 7)))
+        np.testing.assert_array_equal(frame.rgba, expected.rgba)
+
+
+@settings(max_examples=30)
+@given(
+    seed=st.integers(0, 1000),
+    longest=st.sampled_from([0.1, 1.0, 30.0]),
+    opacity=st.sampled_from([0.0, 1.0]),
+)
+def test_needles_and_planes_agree_with_the_reference(seed, longest, opacity):
+    g = random_gaussians(COUNT, seed, 1)
+    thin = np.where(np.arange(COUNT) % 2, 1e-4, 1.0)[:, None] * np.array([[1.0, 1e-4, 0]])
+    opacities = np.where(np.arange(COUNT) % 3, g.opacities, opacity).astype(np.float32)
+    gaussians = Gaussians(g.means, (longest * thin).astype(np.float32), g.quaternions, opacities, g.sh)
+    frame, slow = drawn(gaussians), rasterize_slowly([Part(gaussians, HERE)], small_camera())
+    difference = np.abs(frame.rgba - slow[..., :4]).max(axis=-1)
+    assert difference.max() < 2e-2
+    assert (difference > 3e-4).mean() < 0.01
+
+
+def test_the_near_plane_is_exact():
+    g = random_gaussians(2, 1)
+    means = np.array([[0, 0, just_before], [0, 0, just_behind]], np.float32)
+    for i, is_seen in ((0, False), (1, True)):
+        one = Gaussians(means[i : i + 1], g.scales[:1], g.quaternions[:1], np.ones(1, np.float32), g.sh[:1])
+        assert drawn(one).rgba.any() == is_seen
