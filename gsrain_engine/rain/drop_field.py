@@ -23,6 +23,7 @@ FIRST_OF_CLASS = pow(CLASS_STRIDE, -1, CLASSES)
 """Class c belongs to the drops c * this mod CLASSES, that plus CLASSES, and so on."""
 
 _CLASSES_BY_CHUNK = 64
+_LANES = 16
 
 
 class Offsets(NamedTuple):
@@ -70,9 +71,20 @@ def offsets(
     period_m: Float64[np.ndarray, "3"],
 ) -> Offsets:
     """Split (drop displacement - cell centre) / period + 1/2 into whole wraps and a 32-bit fraction."""
-    periods = (displacement_m - cell_center_m) / period_m + 0.5
-    wraps = np.floor(periods)
-    return Offsets(wraps.astype(np.int32), ((periods - wraps) * 2.0**32).astype(np.uint64).astype(np.uint32))
+    wraps, fractions = np.empty(displacement_m.shape, np.int32), np.empty(displacement_m.shape, np.uint32)
+    _split(displacement_m, cell_center_m, period_m, wraps, fractions)
+    return Offsets(wraps, fractions)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _split(displacement, center, period, wraps, fractions):
+    for axis in range(3):
+        for c in range(len(displacement)):
+            periods = (displacement[c, axis] - center[axis]) / period[axis] + 0.5
+            whole = np.floor(periods)
+            wraps[c, axis] = np.int32(whole)
+            fractions[c, axis] = np.uint32(np.uint64((periods - whole) * 2.0**32))
 
 
 def drops_at(numbers: Int64[np.ndarray, " m"], seed: int, where: Offsets) -> Drops:
@@ -113,89 +125,70 @@ def count_in_region(count: int, seed: int, where: Offsets, period_m: Float64[np.
 def _search(
     count: int, seed: int, where: Offsets, period_m: Float64[np.ndarray, "3"], culling: Culling, *, only_seen: bool
 ) -> Int64[np.ndarray, " m"]:
-    lowest, span = _windows(period_m, culling)
-    if not only_seen:
-        lowest, span = np.zeros_like(lowest), np.full_like(span, 0xFFFFFFFF)
-    found = np.zeros((CLASSES, -(-count // CLASSES)), np.bool_)
-    _mark(np.uint32(seed), count, where.wraps, where.fractions, lowest, span, period_m, *culling, only_seen, found)
+    turns = -(-count // (CLASSES * _LANES)) * _LANES  # whole vectors: what is left over would go one by one
+    found = np.empty((CLASSES, turns), np.bool_)
+    geometry = np.concatenate([np.ravel(each) for each in (period_m, *culling[:5])])
+    margins, far = culling.class_margin_m, culling.class_far_m
+    _mark(np.uint32(seed), np.uint32(count), where.wraps, where.fractions, geometry, margins, far, not only_seen, found)
     class_index, turn = np.divmod(np.flatnonzero(found), found.shape[1])
     return np.sort(turn * CLASSES + class_index * FIRST_OF_CLASS % CLASSES)
 
 
-def _windows(
-    period_m: Float64[np.ndarray, "3"], culling: Culling
-) -> tuple[UInt32[np.ndarray, "classes 3"], UInt32[np.ndarray, "classes 3"]]:
-    """Fractions of the cell between which a drop of each class can be seen on each axis: the first, and how many."""
-    slopes = np.abs(culling.slopes)
-    reach = np.sqrt(1 + max(slopes[:2]) ** 2 + max(slopes[2:]) ** 2)  # distance over depth, at most, within the view
-    away = (reach * culling.class_far_m + 2 * culling.class_margin_m)[:, None] / period_m
-    center = culling.camera_position / period_m + 0.5
-    lowest = np.floor(np.clip(center - away, 0, 1) * (2.0**32 - 1))
-    highest = np.ceil(np.clip(center + away, 0, 1) * (2.0**32 - 1))
-    return lowest.astype(np.uint32), (highest - lowest).astype(np.uint32)
-
-
 @numba.njit(parallel=True, cache=True)
 @no_type_check
-def _mark(
-    seed, count, wraps, fractions, lowest, span, period, region_rotation, region_half, camera, rotation, slopes,
-    margins, far, only_seen, found,
-):  # fmt: skip
+def _mark(seed, count, wraps, fractions, geometry, margins, far, everywhere, found):
     """Mark drops by class and turn."""
-    half = np.float64(2.0**-32)
-    turns = found.shape[1]
     for chunk in numba.prange(CLASSES // _CLASSES_BY_CHUNK):
-        at = np.empty((3, turns), np.uint32)
         for c in range(chunk * _CLASSES_BY_CHUNK, (chunk + 1) * _CLASSES_BY_CHUNK):
-            first = (c * FIRST_OF_CLASS) % CLASSES
-            members = max(0, (count - first + CLASSES - 1) // CLASSES)
-            row, margin = found[c], margins[c]
-            _place_class(np.uint32(first), members, seed, wraps[c], fractions[c], lowest[c], span[c], at, row)
-            for k in range(members):
-                if not row[k]:
-                    continue
-                row[k] = False
-                x = (at[0, k] * half - 0.5) * period[0]
-                y = (at[1, k] * half - 0.5) * period[1]
-                z = (at[2, k] * half - 0.5) * period[2]
-                if abs(z) > region_half[2]:
-                    continue
-                if abs(region_rotation[0, 0] * x + region_rotation[0, 1] * y) > region_half[0]:
-                    continue
-                if abs(region_rotation[1, 0] * x + region_rotation[1, 1] * y) > region_half[1]:
-                    continue
-                if only_seen:
-                    dx, dy, dz = x - camera[0], y - camera[1], z - camera[2]
-                    depth = rotation[2, 0] * dx + rotation[2, 1] * dy + rotation[2, 2] * dz
-                    if depth < 0 or depth > far[c]:
-                        continue
-                    u = rotation[0, 0] * dx + rotation[0, 1] * dy + rotation[0, 2] * dz
-                    v = rotation[1, 0] * dx + rotation[1, 1] * dy + rotation[1, 2] * dz
-                    if u < slopes[0] * depth - margin or u > slopes[1] * depth + margin:
-                        continue
-                    if v < slopes[2] * depth - margin or v > slopes[3] * depth + margin:
-                        continue
-                row[k] = True
+            first, row = np.uint32((c * FIRST_OF_CLASS) % CLASSES), found[c]
+            _mark_class(first, count, seed, wraps[c], fractions[c], geometry, margins[c], far[c], everywhere, row)
 
 
 @numba.njit
 @no_type_check
-def _place_class(first, members, seed, wraps, fractions, lowest, span, at, near):
-    """Place a class' drops as `drops_at` does, and mark those inside the windows: integers and no branch, so SIMD."""
+def _mark_class(first, count, seed, wraps, fractions, geometry, margin, far, everywhere, found):
+    """Place a class' drops as `drops_at` does and test them, all without a branch: LLVM turns the loop into SIMD."""
+    # Into local numbers: the compiler can't know that what is written into `found` leaves an array alone.
+    period_x, period_y, period_z = geometry[0], geometry[1], geometry[2]
+    turn_xx, turn_xy, turn_yx, turn_yy = geometry[3], geometry[4], geometry[5], geometry[6]
+    region_x, region_y, region_z = geometry[7], geometry[8], geometry[9]
+    camera_x, camera_y, camera_z = geometry[10], geometry[11], geometry[12]
+    right_x, right_y, right_z = geometry[13], geometry[14], geometry[15]
+    down_x, down_y, down_z = geometry[16], geometry[17], geometry[18]
+    ahead_x, ahead_y, ahead_z = geometry[19], geometry[20], geometry[21]
+    left, right, top, bottom = geometry[22], geometry[23], geometry[24], geometry[25]
+    half = np.float64(2.0**-32)
     zero, one, two = np.uint32(0), np.uint32(1), np.uint32(2)
     wraps_x, wraps_z = np.uint32(wraps[0]), np.uint32(wraps[2])
     moved_x, moved_y, moved_z = fractions[0], fractions[1], fractions[2]
-    low_x, low_y, low_z = lowest[0], lowest[1], lowest[2]
-    span_x, span_y, span_z = span[0], span[1], span[2]
-    for k in range(members):
+    for k in range(len(found)):
         i = np.uint32(first + np.uint32(k) * np.uint32(CLASSES))
         _, _, start_z, _ = pcg4d_scalar(i, zero, zero, seed)
-        z = np.uint32(start_z + moved_z)
-        wrap_z = np.uint32(wraps_z + np.uint32(z < start_z))
+        fraction_z = np.uint32(start_z + moved_z)
+        wrap_z = np.uint32(wraps_z + np.uint32(fraction_z < start_z))
         start_x, _, _, _ = pcg4d_scalar(i, wrap_z, one, seed)
-        x = np.uint32(start_x + moved_x)
-        wrap_x = np.uint32(wraps_x + np.uint32(x < start_x))
+        fraction_x = np.uint32(start_x + moved_x)
+        wrap_x = np.uint32(wraps_x + np.uint32(fraction_x < start_x))
         _, start_y, _, _ = pcg4d_scalar(i, wrap_z, np.uint32(wrap_x * two + two), seed)
-        y = np.uint32(start_y + moved_y)
-        at[0, k], at[1, k], at[2, k] = x, y, z
-        near[k] = (np.uint32(x - low_x) <= span_x) & (np.uint32(y - low_y) <= span_y) & (np.uint32(z - low_z) <= span_z)
+        fraction_y = np.uint32(start_y + moved_y)
+        x = (fraction_x * half - 0.5) * period_x
+        y = (fraction_y * half - 0.5) * period_y
+        z = (fraction_z * half - 0.5) * period_z
+        in_region = (
+            (abs(z) <= region_z)
+            & (abs(turn_xx * x + turn_xy * y) <= region_x)
+            & (abs(turn_yx * x + turn_yy * y) <= region_y)
+        )
+        dx, dy, dz = x - camera_x, y - camera_y, z - camera_z
+        u = right_x * dx + right_y * dy + right_z * dz
+        v = down_x * dx + down_y * dy + down_z * dz
+        depth = ahead_x * dx + ahead_y * dy + ahead_z * dz
+        in_view = (
+            (depth >= 0)
+            & (depth <= far)
+            & (u >= left * depth - margin)
+            & (u <= right * depth + margin)
+            & (v >= top * depth - margin)
+            & (v <= bottom * depth + margin)
+        )
+        found[k] = (i < count) & in_region & (in_view | everywhere)

@@ -120,7 +120,7 @@ class Rainfall:
             far = np.full(len(self.diameters_mm), 1e6)
         velocities = self.motion.velocity(time_s)
         seen = velocities - view.velocity_m_s if self.rain.streak_frame == "camera" else velocities
-        lengths = np.linalg.norm(seen, axis=1) * self.exposure_s(view)
+        lengths = np.sqrt(np.einsum("ij,ij->i", seen, seen)) * self.exposure_s(view)
         culling = Culling(
             region_rotation=np.ascontiguousarray(turn[:2, :2].T @ axes[:2, :2]),
             region_half=size / 2,

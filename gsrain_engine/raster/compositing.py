@@ -32,8 +32,21 @@ def composite(
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth = np.empty((tiles.height, tiles.width), np.float32)
-    _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, None, None)
+    _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, None, None, None)
     return rgba, fourth
+
+
+def composite_with_veil(
+    shapes: Float32[np.ndarray, "m 8"],
+    channels: Float32[np.ndarray, "m 4"],
+    veil: Float32[np.ndarray, "3"],
+    tiles: TileLists,
+) -> Float32[np.ndarray, "h w 4"]:
+    """Blend as `composite` does where the rain among the splats is all of one colour, `veil`: cheaper a drop."""
+    rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
+    fourth = np.empty((tiles.height, tiles.width), np.float32)
+    _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, None, None, veil)
+    return rgba
 
 
 def composite_in_rain(
@@ -51,7 +64,7 @@ def composite_in_rain(
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth = np.empty((tiles.height, tiles.width), np.float32)
     alpha = np.empty((tiles.height, tiles.width), np.float32)
-    _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, light_linear, alpha)
+    _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, light_linear, alpha, None)
     return rgba, fourth, alpha
 
 
@@ -66,8 +79,8 @@ def alpha_of(power, log_cut):
 
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_linear, clear_alpha):
-    """Compiled twice: without rain, where the last two are None, and with it."""
+def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_linear, clear_alpha, veil):
+    """Compiled three times: without rain, where the last three are None, with its light, and with its colour."""
     height, width = fourth.shape
     rows = (len(starts) - 1) // columns
     for place in numba.prange(len(starts) - 1):
@@ -76,7 +89,8 @@ def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_l
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
         u0, v0 = np.float32(x0 + 0.5), np.float32(y0 + 0.5)
         # A row's lines of TILE numbers: transmittance (0 once finished), four channels, alpha; for rain see rain_light.
-        state = np.zeros((TILE, 6 * TILE if light_linear is None else RAIN_LINES * TILE), np.float32)
+        lines = 6 if light_linear is None and veil is None else RAIN_LINES
+        state = np.zeros((TILE, lines * TILE), np.float32)
         state[: height - y0, : min(TILE, width - x0)] = 1
         if light_linear is not None:
             state[:, OPEN : OPEN + TILE] = 1
@@ -94,6 +108,8 @@ def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_l
             for j in range(len(batch)):
                 if light_linear is not None and near_shapes[j, 6] < LEAST_SCENE_CUT:
                     _blend_rain(near_shapes[j], u0, v0, state)
+                elif veil is not None and near_shapes[j, 6] < LEAST_SCENE_CUT:
+                    _blend_veil(near_shapes[j], u0, v0, state)
                 else:
                     _blend(near_shapes[j], near_channels[j], u0, v0, state)
         for v in range(min(TILE, height - y0)):
@@ -102,6 +118,13 @@ def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_l
                 for u in range(min(TILE, width - x0)):
                     clear_alpha[y0 + v, x0 + u] = line[5 * TILE + u]
                 add_rain_light(line, light_linear)
+            if veil is not None:
+                for u in range(TILE):
+                    share = line[u + RAIN_SHARE]
+                    line[u + TILE] += share * veil[0]
+                    line[u + 2 * TILE] += share * veil[1]
+                    line[u + 3 * TILE] += share * veil[2]
+                    line[u + 5 * TILE] += share
             for u in range(min(TILE, width - x0)):
                 rgba[y0 + v, x0 + u, 0] = line[TILE + u]
                 rgba[y0 + v, x0 + u, 1] = line[2 * TILE + u]
@@ -181,3 +204,22 @@ def _blend_rain(shape, x0, y0, state):
             line[u + OPEN] -= taken
             line[u + RAIN_SHARE] += taken * line[u]
             line[u + SCENE_SHARE] += taken * line[u + 5 * TILE]
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _blend_veil(shape, x0, y0, state):
+    """Let a splat cover what is behind it; its colour comes on at the end, by its share."""
+    x, shear, sharpness, log_cut = shape[0], shape[2], shape[3], shape[6]
+    top, bottom = rows_of(shape, y0)
+    for v in range(top, bottom):
+        dy = np.float32(v) + (y0 - shape[1])
+        peak = shape[5] + shape[4] * dy * dy
+        start = x0 - (x + shear * dy)
+        line = state[v]
+        for u in range(TILE):
+            dx = start + np.float32(u)
+            alpha = alpha_of(sharpness * dx * dx + peak, log_cut)
+            share = line[u] * alpha
+            line[u] -= share
+            line[u + RAIN_SHARE] += share

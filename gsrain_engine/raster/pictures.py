@@ -9,7 +9,7 @@ from gsrain_engine.render.frame import Frame
 from gsrain_engine.render.heat_colors import heat_colors
 from gsrain_engine.render.look import FARTHEST_M, MOST_FRAGMENTS, NEAREST_M, Look
 
-from .compositing import composite, composite_in_rain
+from .compositing import composite, composite_in_rain, composite_with_veil
 from .overdraw import count_fragments
 from .splats import Splats
 from .surfaces import nearest_surfaces
@@ -48,7 +48,10 @@ def draw_in_rain(
     if rain.mixing == "linear":
         rgba, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
     else:  # one more colour (the paper's form)
-        rgba, weighted = composite(splats.shapes, splats.colors, tiles)
+        if isinstance(rain, FallingRain):
+            rgba = composite_with_veil(splats.shapes, splats.colors, rain.color.astype(np.float32), tiles)
+        else:
+            rgba, _ = composite(splats.shapes, splats.colors, tiles)
         if not with_depth:
             return Frame(rgba)
         alone = bin_into_tiles(splats.shapes, order[~splats.is_rain[order]], tiles.width, tiles.height)
