@@ -33,13 +33,14 @@ def bounds(gaussians: Gaussians) -> Bounds:
     )
 
 
-def robust_bounds(gaussians: Gaussians, share: float = _ROBUST_SHARE) -> Bounds:
+def robust_bounds(*sets: Gaussians, share: float = _ROBUST_SHARE) -> Bounds:
     """Box that keeps the middle `share` (0..1) of all opacity along each axis; without Gaussians the origin.
 
     Where everything is fully transparent, every centre counts the same. Of more than a million, an even share counts.
     """
-    chosen = slice(None, None, -(-len(gaussians) // _SAMPLES) or 1)
-    means, weights = gaussians.means[chosen], gaussians.opacities[chosen].astype(np.float64)
+    step = -(-sum(map(len, sets)) // _SAMPLES) or 1
+    means = np.concatenate([np.zeros((0, 3), np.float32), *(each.means[::step] for each in sets)])
+    weights = np.concatenate([np.zeros(0), *(each.opacities[::step].astype(np.float64) for each in sets)])
     if not weights.sum() > 0:
         weights = np.ones(len(weights))
     ends = [(1 - share) / 2, (1 + share) / 2]

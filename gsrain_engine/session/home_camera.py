@@ -6,7 +6,6 @@ from jaxtyping import Float64
 from gsrain_engine.scene.bounds import robust_bounds
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.camera_path import CameraPath, drive_path, orbit_path
-from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import RigCamera, Scene
 
 _FOV_DEG = 50.0
@@ -52,7 +51,7 @@ def scene_bounds(scene: Scene) -> tuple[Float64[np.ndarray, "3"], Float64[np.nda
     """Box in the world around most of what can be seen, without the sky and stray Gaussians."""
     shown = [layer.gaussians for layer in scene.layers if layer.visible and layer.kind != "sky"]
     shown += [actor.gaussians for actor in scene.actors if actor.visible and not shown]
-    low, high = robust_bounds(Gaussians.concatenate([each for each in shown if len(each)]))
+    low, high = robust_bounds(*shown)
     to_world = scene.scene_to_world
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     corners = corners @ to_world[:3, :3].T + to_world[:3, 3]
