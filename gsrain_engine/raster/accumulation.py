@@ -81,9 +81,7 @@ def _gather(shape, x0, y0, state, lanes):
             before = line[u]
             weight = before * alpha
             after = before - weight
-            is_open = after >= MIN_TRANSMITTANCE
-            line[u] = after if is_open else np.float32(0)
-            weight = weight if is_open else np.float32(0)
+            line[u] = after if after >= MIN_TRANSMITTANCE else np.float32(0)
             lanes[u] += weight * line[u + TILE]
             lanes[u + TILE] += weight * line[u + 2 * TILE]
             lanes[u + 2 * TILE] += weight * line[u + 3 * TILE]

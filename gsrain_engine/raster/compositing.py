@@ -15,7 +15,11 @@ MAX_ALPHA = np.float32(0.999)
 """No fragment is opaque, as in the reference rasterizer."""
 
 MIN_TRANSMITTANCE = np.float32(1e-4)
-"""A pixel is finished before the splat that would leave less than this (3DGS, Kerbl et al. 2023)."""
+"""A pixel is finished by the splat that leaves less than this.
+
+3DGS (Kerbl et al. 2023) stops before that splat, which loses up to a tenth of a pixel all at once: a drop that hardly
+dims a pixel could switch such a splat off. Blended, what is left out is never more than this.
+"""
 
 BATCH = 32
 """Splats between two looks at whether a whole tile is finished."""
@@ -27,7 +31,7 @@ def composite(
     """Blend four channels a splat over nothing. Returns the first three with alpha, and the fourth.
 
     Each pixel gets sum_i w_i channel_i with w_i = alpha_i * prod_{j<i} (1 - alpha_j), alpha from `shapes` (see
-    `Splats`), at most `MAX_ALPHA`, until transmittance would fall below `MIN_TRANSMITTANCE`. The same bytes at any
+    `Splats`), at most `MAX_ALPHA`, until transmittance has fallen below `MIN_TRANSMITTANCE`. The same bytes at any
     thread count.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
@@ -173,9 +177,7 @@ def _blend(shape, channels, x0, y0, state):
             before = line[u]
             weight = before * alpha
             after = before - weight
-            is_open = after >= MIN_TRANSMITTANCE
-            line[u] = after if is_open else np.float32(0)
-            weight = weight if is_open else np.float32(0)
+            line[u] = after if after >= MIN_TRANSMITTANCE else np.float32(0)
             line[u + TILE] += weight * first
             line[u + 2 * TILE] += weight * second
             line[u + 3 * TILE] += weight * third

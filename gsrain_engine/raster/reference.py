@@ -60,12 +60,12 @@ def shares_slowly(splats: Sequence[_Splat], camera: Camera) -> Float64[np.ndarra
     shares = np.zeros((*shape, 2))
     for splat in splats:
         alpha = _alpha(splat, camera)
-        if not splat.is_rain:
-            is_open &= clear * (1 - alpha) >= MIN_TRANSMITTANCE
-            clear *= 1 - alpha
         share = np.where(is_open, together * alpha, 0)
         shares[..., 0 if splat.is_rain else 1] += share
         together -= share
+        if not splat.is_rain:
+            clear *= 1 - alpha
+            is_open &= clear >= MIN_TRANSMITTANCE
     return shares
 
 
@@ -96,9 +96,9 @@ def weights_slowly(splats: Sequence[_Splat], camera: Camera) -> list[tuple[_Spla
     weights: list[tuple[_Splat, Float64[np.ndarray, "h w"]]] = []
     for splat in splats:
         alpha = _alpha(splat, camera)
-        is_open &= transmittance * (1 - alpha) >= MIN_TRANSMITTANCE
         weights.append((splat, np.where(is_open, transmittance * alpha, 0)))
-        transmittance = np.where(is_open, transmittance * (1 - alpha), transmittance)
+        transmittance = transmittance * (1 - alpha)
+        is_open &= transmittance >= MIN_TRANSMITTANCE
     return weights
 
 
