@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from jaxtyping import Float64, Int32, Int64, UInt32
 
+from .drop_motion import DropMotion
 from .drop_sizes import CLASSES
 from .random_bits import pcg4d, pcg4d_scalar
 
@@ -72,19 +73,34 @@ def offsets(
 ) -> Offsets:
     """Split (drop displacement - cell centre) / period + 1/2 into whole wraps and a 32-bit fraction."""
     wraps, fractions = np.empty(displacement_m.shape, np.int32), np.empty(displacement_m.shape, np.uint32)
-    _split(displacement_m, cell_center_m, period_m, wraps, fractions)
+    for axis in range(3):
+        _split(displacement_m[:, axis], cell_center_m[axis], period_m[axis], wraps[:, axis], fractions[:, axis])
+    return Offsets(wraps, fractions)
+
+
+def offsets_of(
+    motion: DropMotion, time_s: float, cell_center_m: Float64[np.ndarray, "3"], period_m: Float64[np.ndarray, "3"]
+) -> Offsets:
+    """`offsets` of a motion's displacement, to the bit, without making that of a motion that has not changed."""
+    if motion.reached_m is not None:
+        return offsets(motion.displacement(time_s), cell_center_m, period_m)
+    drift, fallen = motion.drift(time_s), motion.fallen(time_s)
+    wraps, fractions = np.empty((len(fallen), 3), np.int32), np.empty((len(fallen), 3), np.uint32)
+    for axis in range(2):
+        _split(drift[axis : axis + 1], cell_center_m[axis], period_m[axis], wraps[:1, axis], fractions[:1, axis])
+        wraps[1:, axis], fractions[1:, axis] = wraps[0, axis], fractions[0, axis]
+    _split(-fallen, cell_center_m[2], period_m[2], wraps[:, 2], fractions[:, 2])
     return Offsets(wraps, fractions)
 
 
 @numba.njit(cache=True)
 @no_type_check
 def _split(displacement, center, period, wraps, fractions):
-    for axis in range(3):
-        for c in range(len(displacement)):
-            periods = (displacement[c, axis] - center[axis]) / period[axis] + 0.5
-            whole = np.floor(periods)
-            wraps[c, axis] = np.int32(whole)
-            fractions[c, axis] = np.uint32(np.uint64((periods - whole) * 2.0**32))
+    for c in range(len(displacement)):
+        periods = (displacement[c] - center) / period + 0.5
+        whole = np.floor(periods)
+        wraps[c] = np.int32(whole)
+        fractions[c] = np.uint32(np.uint64((periods - whole) * 2.0**32))
 
 
 def drops_at(numbers: Int64[np.ndarray, " m"], seed: int, where: Offsets) -> Drops:

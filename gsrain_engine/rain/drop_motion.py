@@ -51,17 +51,23 @@ class DropMotion:
 
     def displacement(self, time_s: float) -> Float64[np.ndarray, "classes 3"]:
         """World displacement of each class in metres."""
-        moved = np.zeros((len(self.fall_speed_m_s), 3))
-        moved[:, :2] = self.wind.displacement(time_s) - self.wind.displacement(self.since_s)
-        moved[:, 2] = -self.fall_speed_m_s * (time_s - self.since_s)
+        moved = np.empty((len(self.fall_speed_m_s), 3))
+        moved[:, :2] = self.drift(time_s)
+        moved[:, 2] = -self.fallen(time_s)
         return moved if self.reached_m is None else moved + self.reached_m
 
-    def velocity(self, time_s: float) -> Float64[np.ndarray, "classes 3"]:
-        """World velocity of each class in m/s."""
-        velocity = np.empty((len(self.fall_speed_m_s), 3))
-        velocity[:, :2] = self.wind.velocity(time_s)
-        velocity[:, 2] = -self.fall_speed_m_s
-        return velocity
+    def without_drift(self) -> "DropMotion":
+        """Return the same fall from straight above."""
+        reached = None if self.reached_m is None else self.reached_m * np.array([0.0, 0.0, 1.0])
+        return replace(self, wind=Wind(), reached_m=reached)
+
+    def drift(self, time_s: float) -> Float64[np.ndarray, "2"]:
+        """How far the wind has carried all drops along x and y since `since_s`, in metres."""
+        return self.wind.displacement(time_s) - self.wind.displacement(self.since_s)
+
+    def fallen(self, time_s: float) -> Float64[np.ndarray, " classes"]:
+        """How far each class has fallen since `since_s`, in metres."""
+        return self.fall_speed_m_s * (time_s - self.since_s)
 
     def changed(self, time_s: float, wind: Wind, fall_speed_m_s: Float64[np.ndarray, " classes"]) -> "DropMotion":
         """Go on from where every class is at a time with another wind and other speeds."""

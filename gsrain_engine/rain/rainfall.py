@@ -9,7 +9,7 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
 
 from .calibration import Calibration, load_calibration
-from .drop_field import Culling, offsets
+from .drop_field import Culling, offsets_of
 from .drop_motion import DropMotion, Wind
 from .falling_rain import FallingRain
 from .haze import make_haze
@@ -99,12 +99,11 @@ class Rainfall:
         if self.rain.streak_reset == "paper":
             # The region itself is the cell: drops stay in the ego's frame, fall straight, re-enter at the top.
             period, axes = size, turn
-            motion = self.motion.displacement(time_s) * np.array([0, 0, 1])
-            where = offsets(motion, np.zeros(3), period)
+            where = offsets_of(self.motion.without_drift(), time_s, np.zeros(3), period)
         else:
             # World axes; a horizontal period of the region's diagonal covers the region at any yaw.
             period, axes = np.array([*np.full(2, np.hypot(size[0], size[1])), size[2]]), np.eye(3)
-            where = offsets(self.motion.displacement(time_s), center, period)
+            where = offsets_of(self.motion, time_s, center, period)
         camera = view.camera
         slopes = np.array(
             [
@@ -118,16 +117,16 @@ class Rainfall:
             far = self.rain.critical_haze_coefficient * visible_distance_m(self.diameters_mm, self._focal(view))
         else:
             far = np.full(len(self.diameters_mm), 1e6)
-        velocities = self.motion.velocity(time_s)
-        seen = velocities - view.velocity_m_s if self.rain.streak_frame == "camera" else velocities
-        lengths = np.sqrt(np.einsum("ij,ij->i", seen, seen)) * self.exposure_s(view)
+        wind, fall = self.motion.wind.velocity(time_s), self.motion.fall_speed_m_s
+        eye = view.velocity_m_s if self.rain.streak_frame == "camera" else np.zeros(3)
+        speeds = np.sqrt(float(np.sum((wind - eye[:2]) ** 2)) + (fall + eye[2]) ** 2)
         culling = Culling(
             region_rotation=np.ascontiguousarray(turn[:2, :2].T @ axes[:2, :2]),
             region_half=size / 2,
             camera_position=axes.T @ (camera.position - center),
             cell_to_camera=np.ascontiguousarray(camera.world_to_camera[:3, :3] @ axes),
             slopes=slopes,
-            class_margin_m=STREAK_REACH * lengths + 0.02,
+            class_margin_m=STREAK_REACH * self.exposure_s(view) * speeds + 0.02,
             class_far_m=far,
         )
         return StreakField(
@@ -139,7 +138,8 @@ class Rainfall:
             center_m=center,
             culling=culling,
             diameters_mm=self.diameters_mm,
-            velocities_m_s=velocities,
+            wind_m_s=wind,
+            fall_speed_m_s=fall,
             shutter=Shutter(camera, view.velocity_m_s, self.exposure_s(view), self._focal(view)),
         )
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from .drop_field import Culling, Drops, Offsets, count_in_region, find_drops
 from .rain import Rain
@@ -27,8 +27,9 @@ class StreakField:
     """Centre of the cell, and of the streak region, in the world."""
     culling: Culling
     diameters_mm: Float64[np.ndarray, " classes"]
-    velocities_m_s: Float64[np.ndarray, "classes 3"]
-    """Of the drops, in the world."""
+    wind_m_s: Float64[np.ndarray, "2"]
+    """Along world x and y."""
+    fall_speed_m_s: Float64[np.ndarray, " classes"]
     shutter: Shutter
 
     def drops(self) -> Drops:
@@ -43,7 +44,14 @@ class StreakField:
         """Turn drops into streak Gaussians in the world."""
         positions = drops.positions(self.period_m) @ self.axes.T + self.center_m
         c = drops.class_index
-        return make_visible_streaks(positions, self.diameters_mm[c], self.velocities_m_s[c], self.shutter, self.rain)
+        return make_visible_streaks(positions, self.diameters_mm[c], self.velocities(c), self.shutter, self.rain)
+
+    def velocities(self, class_index: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 3"]:
+        """World velocities of drops of some classes in m/s."""
+        velocities = np.empty((len(class_index), 3))
+        velocities[:, :2] = self.wind_m_s
+        velocities[:, 2] = -self.fall_speed_m_s[class_index]
+        return velocities
 
     @property
     def most_drops(self) -> int:

@@ -117,7 +117,7 @@ def streak_slots(field: StreakField) -> int:
 
 def class_rows(field: StreakField) -> UInt32[np.ndarray, "classes 12"]:
     """Rows as common_drop_field.glsl reads them."""
-    seen = field.velocities_m_s
+    seen = field.velocities(np.arange(CLASSES))
     if field.rain.streak_frame == "camera":
         seen = seen - field.shutter.velocity_m_s
     rows = np.empty((CLASSES, 12), np.uint32)

@@ -2,7 +2,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gsrain_engine.rain.drop_field import CLASS_STRIDE, Culling, count_in_region, drops_at, find_drops, offsets
+from gsrain_engine.rain.drop_field import (
+    CLASS_STRIDE,
+    Culling,
+    count_in_region,
+    drops_at,
+    find_drops,
+    offsets,
+    offsets_of,
+)
+from gsrain_engine.rain.drop_motion import DropMotion, Wind
 from gsrain_engine.rain.drop_sizes import CLASSES
 from gsrain_engine.rain.random_bits import pcg4d, pcg4d_scalar
 
@@ -128,3 +137,13 @@ def test_more_drops_leave_the_first_ones_where_they_are():
     few, _ = positions_at(4.0, count=1000)
     many, _ = positions_at(4.0, count=5000)
     assert np.array_equal(few, many[:1000])
+
+
+def test_a_motion_gives_the_offsets_of_its_displacement_to_the_bit():
+    center = np.array([3.0, -2.0, 0.5])
+    motion = DropMotion(Wind((1.3, -0.4), 2.0, 5), FALL)
+    for moving in (motion, motion.changed(7.0, Wind((4.0, 0.0)), 2 * FALL), motion.without_drift()):
+        ours = offsets_of(moving, 1234.5, center, PERIOD)
+        expected = offsets(moving.displacement(1234.5), center, PERIOD)
+        np.testing.assert_array_equal(ours.wraps, expected.wraps)
+        np.testing.assert_array_equal(ours.fractions, expected.fractions)
