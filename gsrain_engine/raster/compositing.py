@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from .fast_math import FAST, exp_of_negative
-from .rain_light import OPEN, RAIN_LINES, RAIN_SHARE, SCENE_SHARE, add_rain_light
+from .rain_light import OPEN, RAIN_LINES, RAIN_SHARE, SCENE_SHARE, VEIL_SHARE, add_rain_light
 from .splats import LEAST_SCENE_CUT
 from .tiles import TILE, TileLists
 
@@ -93,7 +93,7 @@ def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_l
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
         u0, v0 = np.float32(x0 + 0.5), np.float32(y0 + 0.5)
         # A row's lines of TILE numbers: transmittance (0 once finished), four channels, alpha; for rain see rain_light.
-        lines = 6 if light_linear is None and veil is None else RAIN_LINES
+        lines = RAIN_LINES if light_linear is not None else 6 if veil is None else 7
         state = np.zeros((TILE, lines * TILE), np.float32)
         state[: height - y0, : min(TILE, width - x0)] = 1
         if light_linear is not None:
@@ -124,7 +124,7 @@ def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_l
                 add_rain_light(line, light_linear)
             if veil is not None:
                 for u in range(TILE):
-                    share = line[u + RAIN_SHARE]
+                    share = line[u + VEIL_SHARE]
                     line[u + TILE] += share * veil[0]
                     line[u + 2 * TILE] += share * veil[1]
                     line[u + 3 * TILE] += share * veil[2]
@@ -224,4 +224,4 @@ def _blend_veil(shape, x0, y0, state):
             alpha = alpha_of(sharpness * dx * dx + peak, log_cut)
             share = line[u] * alpha
             line[u] -= share
-            line[u + RAIN_SHARE] += share
+            line[u + VEIL_SHARE] += share

@@ -13,6 +13,9 @@ OPEN, RAIN_SHARE, SCENE_SHARE = 6 * TILE, 7 * TILE, 8 * TILE
 """Where a tile's row keeps, behind the lines of `composite`: the product of 1 - alpha of the rain alone, the rain's
 share, and the scene's share before rain; TILE numbers each."""
 
+VEIL_SHARE = 6 * TILE
+"""Where a row keeps the rain's share alone, when its colour comes on at the end."""
+
 RAIN_LINES = 9
 """Lines of a row in rain."""
 
