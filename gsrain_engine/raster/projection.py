@@ -20,6 +20,8 @@ DILATION_PX2 = 0.3
 """Added to the 2D covariance: the pixel's own footprint (3DGS, Kerbl et al. 2023)."""
 
 _CHUNK = 512
+_FEW = 8192
+"""So many Gaussians one thread does sooner than it could call the others."""
 
 _Flags = Sequence[Bool[np.ndarray, " _"] | None]
 
@@ -49,7 +51,8 @@ def project(parts: Sequence[Part], camera: Camera, rain: _Flags | None = None, *
         g, last = part.gaussians, first + len(own)
         flags = rain[number] if rain is not None else None
         scales = g.scales if part.growth == 1 else g.scales[: part.drawn_count] * np.float32(part.growth)
-        _project_part(
+        fill = _project_few if len(own) < _FEW else _project_part
+        fill(
             own, g.means, scales, g.quaternions, g.opacities, g.sh, np.zeros(0, np.bool_) if flags is None else flags,
             as_points, way, eye_in_object(camera, part), intrinsics, shapes[first:last], colors[first:last],
         )  # fmt: skip
@@ -92,7 +95,8 @@ def _candidates(
     flags = np.empty(n, np.bool_)
     largest = part.growth * np.cbrt(abs(np.linalg.det(object_to_camera[:3, :3])))
     least = -np.inf if as_points else RAIN_ALPHA_CUT
-    _find_candidates(g.means[:n], g.scales[:n], g.opacities[:n], least, object_to_camera, largest, intrinsics, flags)
+    find = _find_few_candidates if n < _FEW else _find_candidates
+    find(g.means[:n], g.scales[:n], g.opacities[:n], least, object_to_camera, largest, intrinsics, flags)
     return np.flatnonzero(flags)
 
 
@@ -100,6 +104,20 @@ def _candidates(
 @no_type_check
 def _find_candidates(means, scales, opacities, least_opacity, m, scale, intrinsics, flags):
     """Flag what comes near the image when each Gaussian is taken for a ball as large as its longest axis."""
+    for chunk in numba.prange((len(means) + _CHUNK - 1) // _CHUNK):
+        first, last = chunk * _CHUNK, min(len(means), (chunk + 1) * _CHUNK)
+        _flag_range(first, last, means, scales, opacities, least_opacity, m, scale, intrinsics, flags)
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check
+def _find_few_candidates(means, scales, opacities, least_opacity, m, scale, intrinsics, flags):
+    _flag_range(0, len(means), means, scales, opacities, least_opacity, m, scale, intrinsics, flags)
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _flag_range(first, last, means, scales, opacities, least_opacity, m, scale, intrinsics, flags):
     fx, fy, cx, cy, width, height = intrinsics
     half_x, half_y = 0.5 * width, 0.5 * height
     # Longest extents in standard deviations, along a line of sight as slanted as `_shape` allows for.
@@ -108,16 +126,15 @@ def _find_candidates(means, scales, opacities, least_opacity, m, scale, intrinsi
     reach_x = extent * scale * fx * np.sqrt(1 + slope_x * slope_x)
     reach_y = extent * scale * fy * np.sqrt(1 + slope_y * slope_y)
     dot = extent * np.sqrt(1 + DILATION_PX2)
-    for chunk in numba.prange((len(means) + _CHUNK - 1) // _CHUNK):
-        for i in range(chunk * _CHUNK, min(len(means), (chunk + 1) * _CHUNK)):
-            x, y, z = means[i, 0], means[i, 1], means[i, 2]
-            px = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
-            py = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
-            pz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
-            s = max(scales[i, 0], scales[i, 1], scales[i, 2])
-            is_near_x = abs(fx * px + (cx - half_x) * pz) <= (half_x + dot) * pz + reach_x * s
-            is_near_y = abs(fy * py + (cy - half_y) * pz) <= (half_y + dot) * pz + reach_y * s
-            flags[i] = pz > NEAR_M and is_near_x and is_near_y and opacities[i] > least_opacity
+    for i in range(first, last):
+        x, y, z = means[i, 0], means[i, 1], means[i, 2]
+        px = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+        py = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+        pz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+        s = max(scales[i, 0], scales[i, 1], scales[i, 2])
+        is_near_x = abs(fx * px + (cx - half_x) * pz) <= (half_x + dot) * pz + reach_x * s
+        is_near_y = abs(fy * py + (cy - half_y) * pz) <= (half_y + dot) * pz + reach_y * s
+        flags[i] = pz > NEAR_M and is_near_x and is_near_y and opacities[i] > least_opacity
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
@@ -128,21 +145,45 @@ def _project_part(
 ):  # fmt: skip
     """Fill shapes and colours of some Gaussians of one part; depth 0 for what is not to be drawn after all."""
     for chunk in numba.prange((len(members) + _CHUNK - 1) // _CHUNK):
-        basis = np.empty(16, np.float32)
-        for n in range(chunk * _CHUNK, min(len(members), (chunk + 1) * _CHUNK)):
-            i = members[n]
-            is_rain = len(rain) > 0 and rain[i]
-            depth = _shape(
-                means[i], scales[i], quaternions[i], opacities[i], is_rain, as_points, object_to_camera, intrinsics,
-                shapes[n],
-            )  # fmt: skip
-            if not (depth > 0 and _color(means[i], sh[i], eye, basis, colors[n])):
-                for k in range(8):
-                    shapes[n, k] = 0
-                for k in range(3):
-                    colors[n, k] = 0
-                depth = 0.0
-            colors[n, 3] = depth
+        _project_range(
+            chunk * _CHUNK, min(len(members), (chunk + 1) * _CHUNK), members, means, scales, quaternions, opacities, sh,
+            rain, as_points, object_to_camera, eye, intrinsics, shapes, colors,
+        )  # fmt: skip
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check
+def _project_few(
+    members, means, scales, quaternions, opacities, sh, rain, as_points, object_to_camera, eye, intrinsics,
+    shapes, colors,
+):  # fmt: skip
+    _project_range(
+        0, len(members), members, means, scales, quaternions, opacities, sh, rain, as_points, object_to_camera, eye,
+        intrinsics, shapes, colors,
+    )  # fmt: skip
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _project_range(
+    first, last, members, means, scales, quaternions, opacities, sh, rain, as_points, object_to_camera, eye, intrinsics,
+    shapes, colors,
+):  # fmt: skip
+    basis = np.empty(16, np.float32)
+    for n in range(first, last):
+        i = members[n]
+        is_rain = len(rain) > 0 and rain[i]
+        depth = _shape(
+            means[i], scales[i], quaternions[i], opacities[i], is_rain, as_points, object_to_camera, intrinsics,
+            shapes[n],
+        )  # fmt: skip
+        if not (depth > 0 and _color(means[i], sh[i], eye, basis, colors[n])):
+            for k in range(8):
+                shapes[n, k] = 0
+            for k in range(3):
+                colors[n, k] = 0
+            depth = 0.0
+        colors[n, 3] = depth
 
 
 @numba.njit(forceinline=True, error_model="numpy")

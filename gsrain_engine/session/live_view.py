@@ -45,6 +45,7 @@ class LiveView:
         self._cpu = CpuPicture(context) if on_cpu else None
         if self._cpu is not None and has_kernels():
             self._cpu.compile()
+        self._on_cpu = False
         self._sides = (_SidePicture(context), _SidePicture(context))
         self._moment: Shot | None = None
         self._asked_at = 0.0
@@ -60,6 +61,7 @@ class LiveView:
         textures come back.
         """
         session = self.session
+        self._on_cpu = self._cpu is not None and self._cpu.is_ready  # once a frame: it may become so at any moment
         self._go_on_uploading()
         sides = session.sides
         detail = self._choose_detail(session.shot(width, height))
@@ -92,16 +94,13 @@ class LiveView:
         return [shown.texture for shown in self._sides[-len(self.session.sides) :]]
 
     @property
-    def _on_cpu(self) -> bool:
-        return self._cpu is not None and self._cpu.is_ready
-
-    @property
     def _can_draw(self) -> bool:
-        return self.is_settled or self.session.scene.gaussian_count <= _STAND_IN_GAUSSIANS
+        is_final = self._cpu is None or self._on_cpu
+        return is_final or self.session.scene.gaussian_count <= _STAND_IN_GAUSSIANS
 
     @property
     def _renderer(self) -> Renderer:
-        return self._cpu.renderer if self._cpu is not None and self._cpu.is_ready else self._opengl
+        return self._cpu.renderer if self._cpu is not None and self._on_cpu else self._opengl
 
     def _choose_detail(self, now: Shot) -> Detail:
         """Ask the budget, which wants to know whether the camera has moved."""
