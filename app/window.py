@@ -69,6 +69,8 @@ class Window:
         callbacks.show_status = lambda: self.workspace.draw_status() if self.workspace else None
         callbacks.before_exit = self._end
         parameters.fps_idling.enable_idling = False
+        parameters.fps_idling.fps_idle = 0.5
+        parameters.fps_idling.fps_max = 30.0
         return parameters
 
     def drop(self, paths: list[str]) -> None:

@@ -17,6 +17,9 @@ from ui.viewport_panel import viewport_panel
 logger = logging.getLogger("gsrain")
 
 _SPACES = {"right": "RightSpace", "right bottom": "RightBottomSpace"}
+WAITING_FPS = 30.0
+"""Enough for a bar that moves: what is waited for needs the processor more."""
+
 _LONGEST_STEP_S = 0.25
 """After a stall time goes on by no more than this, so that nothing leaps."""
 
@@ -53,9 +56,10 @@ class Workspace:
         """Let time go by. Once a frame, before anything is drawn."""
         session = self.session
         session.update(min(imgui.get_io().delta_time, _LONGEST_STEP_S))
-        idling = hello_imgui.get_runner_params().fps_idling
+        pace = hello_imgui.get_runner_params().fps_idling
         resting = not (session.clock.playing or session.is_working or session.budget.is_settling)
-        idling.enable_idling = resting and self.view.is_settled
+        pace.enable_idling = resting and self.view.is_settled
+        pace.fps_max = 0.0 if self.view.is_settled and session.busy is None else WAITING_FPS
         hello_imgui.get_runner_params().app_window_params.window_title = f"GSRAIN: {session.scene.name}"
 
     def draw_menus(self) -> None:

@@ -16,13 +16,17 @@ CLASSES = 16384
 """Diameter classes of a drop field: class c is the quantile (c + 1/2) / CLASSES. A drop keeps its class as R moves."""
 
 
+_PANELS, _NODES = 20, 20
+"""Few nodes in each of many panels: the eigenvalues behind 400 nodes at once keep a busy machine for seconds."""
+
+
 @cache
 def _quadrature() -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
     """Gauss-Legendre nodes in mm and their weights, in the square root of D: they crowd where small drops are."""
-    nodes, weights = np.polynomial.legendre.leggauss(400)
-    low, high = np.sqrt(SMALLEST_MM), np.sqrt(LARGEST_MM)
-    root = low + 0.5 * (nodes + 1) * (high - low)
-    return root**2, weights * root
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    edges = np.linspace(np.sqrt(SMALLEST_MM), np.sqrt(LARGEST_MM), _PANELS + 1)[:, None]
+    root = (edges[:-1] + 0.5 * (nodes + 1) * np.diff(edges, axis=0)).ravel()
+    return root**2, np.tile(weights, _PANELS) * root
 
 
 @dataclass(frozen=True)

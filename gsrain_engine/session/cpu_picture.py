@@ -2,11 +2,13 @@
 
 import logging
 import threading
+import time
 from typing import get_args
 
 import moderngl
 import numpy as np
 
+from gsrain_engine.kernel_cache import has_kernels
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import Rainfall, View
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
@@ -18,6 +20,9 @@ from gsrain_engine.scene.scene import Part
 
 logger = logging.getLogger("gsrain")
 
+_LOADING_S = 1.5
+"""In that time kernels that were compiled before are loaded, on a busy machine too."""
+
 
 class CpuPicture:
     """A CPU renderer and the texture its pictures go to."""
@@ -28,6 +33,8 @@ class CpuPicture:
         self._texture: moderngl.Texture | None = None
         self._compiled = threading.Event()
         self._is_compiling = False
+        self.has_failed = False
+        """Whether the kernels can't be compiled, so that it will never be ready."""
 
     def compile(self) -> None:
         """Begin to compile the kernels, or to load them, in the background; once."""
@@ -39,6 +46,11 @@ class CpuPicture:
     def is_ready(self) -> bool:
         """Whether drawing will not have to wait for a compiler."""
         return self._compiled.is_set()
+
+    @property
+    def is_near(self) -> bool:
+        """Whether it will be ready sooner than another back end could have drawn a picture."""
+        return self._is_cached and not self.is_ready and time.perf_counter() < self._worth_waiting_until
 
     def upload(self) -> moderngl.Texture:
         """Bring the renderer's last picture into a texture."""
@@ -56,6 +68,7 @@ class CpuPicture:
         try:
             compile_kernels()
         except Exception:  # OpenGL goes on drawing, slower: the window must not end over this
+            self.has_failed = True
             logger.exception("The processor's kernels can't be compiled; OpenGL draws instead")
         else:
             self._compiled.set()

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import moderngl
 import numpy as np
 
-from gsrain_engine.kernel_cache import has_kernels
 from gsrain_engine.render.context import is_software
 from gsrain_engine.render.pictures import write_picture
 from gsrain_engine.render.renderer import Renderer
@@ -35,7 +34,8 @@ class LiveView:
     """What the viewport shows. Lives in the window's OpenGL context and on its thread.
 
     On a GPU, OpenGL draws. Where OpenGL is a software rasterizer, the processor draws the same picture by itself
-    several times faster; until its kernels are compiled OpenGL stands in. `backend` overrules the choice.
+    several times faster. Until its kernels are compiled OpenGL stands in; where they only have to be loaded, the
+    picture waits for them: compiling shaders takes longer. `backend` overrules the choice.
     """
 
     def __init__(self, context: moderngl.Context, session: Session, backend: WindowBackend = "auto") -> None:
@@ -43,8 +43,7 @@ class LiveView:
         self._opengl = SplatRenderer(context)
         on_cpu = is_software(context) if backend == "auto" else backend == "cpu"
         self._cpu = CpuPicture(context) if on_cpu else None
-        if self._cpu is not None and has_kernels():
-            self._cpu.compile()
+        self._has_kernels = has_kernels()
         self._on_cpu = False
         self._sides = (_SidePicture(context), _SidePicture(context))
         self._moment: Shot | None = None
@@ -96,7 +95,12 @@ class LiveView:
     @property
     def _can_draw(self) -> bool:
         is_final = self._cpu is None or self._on_cpu
-        return is_final or self.session.scene.gaussian_count <= _STAND_IN_GAUSSIANS
+        return is_final or (not self._waits and self.session.scene.gaussian_count <= _STAND_IN_GAUSSIANS)
+
+    @property
+    def _waits(self) -> bool:
+        """Whether the processor will draw as soon as it has loaded its kernels."""
+        return self._has_kernels and self._cpu is not None and not self._cpu.has_failed
 
     @property
     def _renderer(self) -> Renderer:
@@ -164,6 +168,8 @@ class LiveView:
 
     def _go_on_uploading(self) -> None:
         """Bring the next slices of a staged scene to the GPU; when all is there, swap it in."""
+        if self._cpu is not None and self._cpu.is_near:
+            return
         if self.session.staged is not self._staged:
             self._opengl.arrays.release_unused(awaited_too=True)
             self._staged = self.session.staged
@@ -175,7 +181,8 @@ class LiveView:
                 self.session.swap_in()
 
     def _slices(self, staged: StagedScene) -> Iterator[float]:
-        if self._on_cpu or (self._cpu is not None and staged.scene.gaussian_count > _STAND_IN_GAUSSIANS):
+        too_large = self._cpu is not None and staged.scene.gaussian_count > _STAND_IN_GAUSSIANS
+        if self._on_cpu or self._waits or too_large:
             return
         for member in (*staged.scene.layers, *staged.scene.actors):
             yield from self._opengl.upload(member.gaussians)
