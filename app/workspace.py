@@ -6,6 +6,7 @@ import moderngl
 from imgui_bundle import hello_imgui, imgui
 
 from gsrain_engine.rain.rain import Rain
+from gsrain_engine.session.clock import Pace
 from gsrain_engine.session.live_view import LiveView
 from gsrain_engine.session.session import Session, WindowBackend
 from ui.menus import Menus
@@ -17,11 +18,8 @@ from ui.viewport_panel import viewport_panel
 logger = logging.getLogger("gsrain")
 
 _SPACES = {"right": "RightSpace", "right bottom": "RightBottomSpace"}
-WAITING_FPS = 30.0
+_WAITING_FPS = 30.0
 """Enough for a bar that moves: what is waited for needs the processor more."""
-
-_LONGEST_STEP_S = 0.25
-"""After a stall time goes on by no more than this, so that nothing leaps."""
 
 
 def begin_session(scene: str | None, rain: Rain | None) -> Session:
@@ -38,6 +36,7 @@ class Workspace:
         self.session = session
         self.view = LiveView(context, session, backend)
         self._menus = Menus(session)
+        self._pace = Pace()
         self._last_problem = ""
 
     def dockable_windows(self) -> list[hello_imgui.DockableWindow]:
@@ -55,11 +54,11 @@ class Workspace:
     def update(self) -> None:
         """Let time go by. Once a frame, before anything is drawn."""
         session = self.session
-        session.update(min(imgui.get_io().delta_time, _LONGEST_STEP_S))
-        pace = hello_imgui.get_runner_params().fps_idling
+        session.update(self._pace.step(imgui.get_io().delta_time))
+        idling = hello_imgui.get_runner_params().fps_idling
         resting = not (session.clock.playing or session.is_working or session.budget.is_settling)
-        pace.enable_idling = resting and self.view.is_settled
-        pace.fps_max = 0.0 if self.view.is_settled and session.busy is None else WAITING_FPS
+        idling.enable_idling = resting and self.view.is_settled
+        idling.fps_max = 0.0 if self.view.is_settled and session.busy is None else _WAITING_FPS
         hello_imgui.get_runner_params().app_window_params.window_title = f"GSRAIN: {session.scene.name}"
 
     def draw_menus(self) -> None:

@@ -1,4 +1,4 @@
-"""What stands over the picture while a scene is opened, or could not be."""
+"""What stands over the picture while a scene is opened, and where something went wrong."""
 
 from imgui_bundle import ImVec2, imgui
 
@@ -8,7 +8,7 @@ _WIDTH_EM = 34.0
 
 
 def draw_notice(session: Session, corner: ImVec2, width: int, height: int) -> None:
-    """Draw a bar that moves while a scene is opened, and say why one could not be; nothing at other times."""
+    """Draw a bar that moves while a scene is opened, and say what went wrong; nothing at other times."""
     busy, problem = session.busy, session.problem
     if busy is None and problem is None:
         return
@@ -21,8 +21,9 @@ def draw_notice(session: Session, corner: ImVec2, width: int, height: int) -> No
             imgui.text_wrapped(busy)
             imgui.progress_bar(-imgui.get_time(), ImVec2(-1, 0), "")
         elif problem is not None:
-            imgui.text_colored((1.0, 0.55, 0.5, 1.0), "The scene can't be shown")
+            imgui.push_style_color(imgui.Col_.text, (1.0, 0.6, 0.55, 1.0))
             imgui.text_wrapped(problem)
+            imgui.pop_style_color()
             if imgui.button("Close"):
                 session.problem = None
     imgui.end_child()

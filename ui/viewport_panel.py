@@ -135,4 +135,6 @@ def _keyboard(session: Session) -> None:
     session.view.follow_path = False
     forward, right, up = (sum(axis) for axis in zip(*pressed, strict=True))
     fast = _FAST if io.key_shift else 1.0
-    session.navigation.fly(fast * forward, fast * right, fast * up, io.delta_time)
+    # The frame in which a key went down may have begun long before: nothing moved then.
+    held_s = io.delta_time if session.navigation.is_flying else 0.0
+    session.navigation.fly(fast * forward, fast * right, fast * up, held_s)

@@ -2,13 +2,11 @@
 
 import logging
 import threading
-import time
 from typing import get_args
 
 import moderngl
 import numpy as np
 
-from gsrain_engine.kernel_cache import has_kernels
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import Rainfall, View
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
@@ -19,9 +17,6 @@ from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import Part
 
 logger = logging.getLogger("gsrain")
-
-_LOADING_S = 1.5
-"""In that time kernels that were compiled before are loaded, on a busy machine too."""
 
 
 class CpuPicture:
@@ -46,11 +41,6 @@ class CpuPicture:
     def is_ready(self) -> bool:
         """Whether drawing will not have to wait for a compiler."""
         return self._compiled.is_set()
-
-    @property
-    def is_near(self) -> bool:
-        """Whether it will be ready sooner than another back end could have drawn a picture."""
-        return self._is_cached and not self.is_ready and time.perf_counter() < self._worth_waiting_until
 
     def upload(self) -> moderngl.Texture:
         """Bring the renderer's last picture into a texture."""

@@ -43,7 +43,7 @@ class Job:
         if self.state != "running":
             return
         try:
-            while self._messages.poll():
+            while self.state == "running" and self._messages.poll():
                 self._take(self._messages.recv())
         except (EOFError, OSError):
             self._process.join(timeout=1.0)
@@ -51,14 +51,13 @@ class Job:
                 self._fail(f"the worker died (exit code {self._process.exitcode})", None)
 
     def cancel(self) -> None:
-        """Stop the worker; whatever it had not finished is dropped."""
+        """Tell the worker to stop, without waiting for it; whatever it had not finished is dropped."""
         if self.state == "running":
             self._process.terminate()
             self.state = "cancelled"
-            self.close()
 
     def close(self) -> None:
-        """Wait for the process to be gone and free what it held."""
+        """Wait for the process to be gone and free what it held; any thread may do this, once."""
         self._process.join(timeout=5.0)
         if self._process.is_alive():
             self._process.kill()

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import moderngl
 import numpy as np
 
+from gsrain_engine.kernel_cache import has_kernels
 from gsrain_engine.render.context import is_software
 from gsrain_engine.render.pictures import write_picture
 from gsrain_engine.render.renderer import Renderer
@@ -26,6 +27,9 @@ logger = logging.getLogger("gsrain")
 _STAND_IN_GAUSSIANS = 1_000_000
 """Larger scenes wait for the processor's kernels: software OpenGL would need minutes and twice the memory."""
 
+_LOADING_S = 2.0
+"""Kernels from the cache are there by then, on a busy machine too; if not, some of them had to be compiled."""
+
 _UPLOAD_S = 0.01
 """Of each frame, for bringing slices of a staged scene to the GPU."""
 
@@ -43,7 +47,10 @@ class LiveView:
         self._opengl = SplatRenderer(context)
         on_cpu = is_software(context) if backend == "auto" else backend == "cpu"
         self._cpu = CpuPicture(context) if on_cpu else None
-        self._has_kernels = has_kernels()
+        self._waits_until = 0.0
+        if self._cpu is not None and has_kernels():
+            self._cpu.compile()
+            self._waits_until = time.perf_counter() + _LOADING_S
         self._on_cpu = False
         self._sides = (_SidePicture(context), _SidePicture(context))
         self._moment: Shot | None = None
@@ -60,6 +67,8 @@ class LiveView:
         textures come back.
         """
         session = self.session
+        if self._cpu is not None and self._cpu.has_failed:
+            self._cpu = None
         self._on_cpu = self._cpu is not None and self._cpu.is_ready  # once a frame: it may become so at any moment
         self._go_on_uploading()
         sides = session.sides
@@ -76,6 +85,7 @@ class LiveView:
             has_drawn = self._show(side, shown, shot, detail)
         if self._cpu is not None and (has_drawn or not self._can_draw) and session.scene.gaussian_count:
             self._cpu.compile()  # after the first picture, which compiling would hold up
+        session.is_compiling = not self._can_draw
         if has_drawn:
             self._tell(1000 * (time.perf_counter() - started), detail)
         textures = [shown.texture for shown in self._sides[-len(sides) :]]
@@ -100,7 +110,7 @@ class LiveView:
     @property
     def _waits(self) -> bool:
         """Whether the processor will draw as soon as it has loaded its kernels."""
-        return self._has_kernels and self._cpu is not None and not self._cpu.has_failed
+        return self._cpu is not None and time.perf_counter() < self._waits_until
 
     @property
     def _renderer(self) -> Renderer:
@@ -168,8 +178,6 @@ class LiveView:
 
     def _go_on_uploading(self) -> None:
         """Bring the next slices of a staged scene to the GPU; when all is there, swap it in."""
-        if self._cpu is not None and self._cpu.is_near:
-            return
         if self.session.staged is not self._staged:
             self._opengl.arrays.release_unused(awaited_too=True)
             self._staged = self.session.staged
@@ -202,7 +210,8 @@ class LiveView:
         try:
             write_picture(path, pixels)
         except OSError as error:
-            logger.error("%s: the screenshot can't be saved: %s", path, error.strerror or error)
+            self.session.problem = f"{path}: the screenshot can't be saved: {error.strerror or error}"
+            logger.error("%s", self.session.problem)
         else:
             logger.info("Saved %s", path)
 

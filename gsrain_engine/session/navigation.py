@@ -86,6 +86,11 @@ class Navigation:
         self.velocity_m_s = velocity
         self.position = self.position + velocity * real_s
 
+    @property
+    def is_flying(self) -> bool:
+        """Whether it has flown since it last stood still."""
+        return bool(np.any(self.velocity_m_s))
+
     def stop(self) -> None:
         """Stand still."""
         self.velocity_m_s = np.zeros(3)

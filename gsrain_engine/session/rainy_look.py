@@ -45,3 +45,14 @@ def with_colors(scene: Scene, colors: Mapping[str, Float32[np.ndarray, "n k 3"]]
         for each in scene.actors
     )
     return replace(scene, layers=layers, actors=actors)
+
+
+def with_gaussians_of(scene: Scene, other: Scene) -> Scene:
+    """Return the scene with the Gaussians of another version of it; what only one of them has stays as it is."""
+    layers = {each.name: each.gaussians for each in other.layers}
+    actors = {each.id: each.gaussians for each in other.actors}
+    return replace(
+        scene,
+        layers=tuple(replace(each, gaussians=layers.get(each.name, each.gaussians)) for each in scene.layers),
+        actors=tuple(replace(each, gaussians=actors.get(each.id, each.gaussians)) for each in scene.actors),
+    )

@@ -14,6 +14,7 @@ from .jobs import Job, JobState
 from .rainy_look import make_rainy, with_colors
 
 TITLE = "Make it rainy (preview)"
+_SCENE, _COLORS = "scene", "colors.npz"
 
 
 class RainyLookJob:
@@ -29,8 +30,8 @@ class RainyLookJob:
         self.details: str | None = None
         self.result: Scene | None = None
         self._files = files
-        self._folder = Path(tempfile.mkdtemp(prefix="gsrain-"))
-        self._saving: Future[None] | None = files.submit(write_scene, scene, self._folder / "scene")
+        self._saving: Future[Path] | None = files.submit(_save, scene)
+        self._folder: Path | None = None
         self._worker: Job | None = None
         self._loading: Future[Scene] | None = None
 
@@ -40,9 +41,9 @@ class RainyLookJob:
             return
         try:
             if self._saving is not None and self._saving.done():
-                self._saving.result()
-                self._saving = None
-                self._worker = Job(TITLE, make_rainy, self._folder / "scene", self._output)
+                folder, self._saving = self._saving.result(), None
+                self._folder = folder
+                self._worker = Job(TITLE, make_rainy, folder / _SCENE, folder / _COLORS)
             if self._worker is not None:
                 self._follow(self._worker)
             if self._loading is not None and self._loading.done():
@@ -57,10 +58,6 @@ class RainyLookJob:
         if self.state == "running":
             self._end("cancelled")
 
-    @property
-    def _output(self) -> Path:
-        return self._folder / "colors.npz"
-
     def _follow(self, worker: Job) -> None:
         worker.poll()
         self.progress = worker.progress
@@ -68,15 +65,41 @@ class RainyLookJob:
             self.error, self.details = worker.error, worker.details
             self._end("failed")
         elif worker.state == "finished":
-            worker.close()
             self._worker = None
             self.progress = Progress(1.0, "Loading the result")
-            self._loading = self._files.submit(lambda: with_colors(self.scene, read_recolored(self._output)))
+            self._loading = self._files.submit(self._load, worker)
+
+    def _load(self, worker: Job) -> Scene:
+        assert self._folder is not None
+        worker.close()
+        return with_colors(self.scene, read_recolored(self._folder / _COLORS))
 
     def _end(self, state: JobState) -> None:
         self.state = state
         if self._worker is not None:
             self._worker.cancel()
-            self._worker.close()
-            self._worker = None
-        self._files.submit(shutil.rmtree, self._folder, ignore_errors=True)
+        if self._saving is not None:
+            self._saving.cancel()
+        # Ending a process and emptying a folder take their time: the window goes on meanwhile.
+        self._files.submit(_clean_up, self._worker, self._saving, self._folder)
+        self._worker = None
+
+
+def _save(scene: Scene) -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="gsrain-"))
+    try:
+        write_scene(scene, folder / _SCENE)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return folder
+
+
+def _clean_up(worker: Job | None, saving: Future[Path] | None, folder: Path | None) -> None:
+    """Runs after whatever the job had handed to the same thread before."""
+    if worker is not None:
+        worker.close()
+    if saving is not None and not saving.cancelled() and saving.exception() is None:
+        folder = saving.result()
+    if folder is not None:
+        shutil.rmtree(folder, ignore_errors=True)

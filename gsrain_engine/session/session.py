@@ -29,6 +29,7 @@ from .interaction_budget import EXACT, Detail, InteractionBudget
 from .log import LogLines
 from .navigation import Navigation
 from .open_scene import open_to_draw
+from .rainy_look import with_gaussians_of
 from .rainy_look_job import RainyLookJob
 
 logger = logging.getLogger("gsrain")
@@ -99,6 +100,8 @@ class Session:
         self.sky: Color = OVERCAST
         self.sky_is_stale = True
         """Whether the live view should look at the sky again: it is another scene's."""
+        self.is_compiling = False
+        """Whether the viewport can't be drawn before kernels are compiled or loaded."""
         self.backend = ""
         """What draws the viewport."""
         self.statistics: dict[str, float] = {}
@@ -106,7 +109,7 @@ class Session:
         self.detail: Detail = EXACT
         """How much of the exact picture the viewport shows now."""
         self.problem: str | None = None
-        """Why the last scene could not be opened; stays until another one is."""
+        """What went wrong last, in one sentence: the viewport shows it until it is closed or a scene is opened."""
         self.path: CameraPath | None = None
         self.screenshot: Path | None = None
         """Where the live view saves its next picture."""
@@ -170,11 +173,15 @@ class Session:
     # Files
 
     def open(self, path: str) -> None:
-        """Read a scene in the background and go to it; what goes wrong is logged, and the present scene stays."""
-        if self._opening is None:
-            logger.info("Opening %s", path)
-            self.problem = None
-            self._opening = path, self._files.submit(open_to_draw, path)
+        """Read a scene in the background and go to it; of several, the one that was asked for last.
+
+        What goes wrong is logged and kept in `problem`, and the present scene stays.
+        """
+        if self._opening is not None:
+            self._opening[1].cancel()
+        logger.info("Opening %s", path)
+        self.problem = None
+        self._opening = path, self._files.submit(open_to_draw, path)
 
     def save(self, path: Path) -> None:
         """Write the scene, with its rain, in the background."""
@@ -189,7 +196,9 @@ class Session:
             return f"Opening {self._opening[0]}"
         if self.staged is not None and self.staged.is_opened:
             return f"Uploading {self.staged.label}"
-        return f"Saving {self._saving[0]}" if self._saving is not None else None
+        if self._saving is not None:
+            return f"Saving {self._saving[0]}"
+        return "Preparing the picture; once after an update this takes up to a minute" if self.is_compiling else None
 
     @property
     def pending_files(self) -> list[Future[Any]]:
@@ -223,7 +232,7 @@ class Session:
             self._go_to(staged.scene)
             logger.info("Opened %s: %s Gaussians", staged.label, f"{staged.scene.gaussian_count:,}")
         else:
-            self.set_scene(staged.label, staged.scene)
+            self.set_scene(staged.label, with_gaussians_of(self.scene, staged.scene))
             logger.info("%s: done", staged.label)
 
     # Time and view
@@ -234,7 +243,7 @@ class Session:
         self._poll_files()
         if self.job is not None and self.job.state == "running":
             self.job.poll()
-            if self.job.result is not None:
+            if self.job.result is not None and not (self.staged is not None and self.staged.is_opened):
                 self.staged = StagedScene(self.job.title, self.job.result)
             elif self.job.error is not None:
                 logger.error("%s failed: %s", self.job.title, self.job.error)
@@ -266,12 +275,12 @@ class Session:
         """Save the next picture under the present date and time, by default in the person's pictures folder."""
         folder = folder or Path(platformdirs.user_pictures_dir())
         name = f"gsrain_{datetime.now():%Y-%m-%d_%H-%M-%S}"
-        path = folder / f"{name}.png"
-        number = 1
-        while path.exists():
+        taken = {each.name for each in folder.glob(f"{name}*.png")}
+        chosen, number = f"{name}.png", 1
+        while chosen in taken:
             number += 1
-            path = folder / f"{name}_{number}.png"
-        self.screenshot = path
+            chosen = f"{name}_{number}.png"
+        self.screenshot = folder / chosen
 
     def frame_scene(self) -> None:
         """Back off until the whole scene can be seen."""
@@ -289,7 +298,9 @@ class Session:
     def close(self) -> None:
         """Stop everything that runs."""
         self.cancel_job()
-        self._files.shutdown(wait=True, cancel_futures=True)
+        if self._opening is not None:
+            self._opening[1].cancel()
+        self._files.shutdown()
         logger.removeHandler(self.log)
 
     def _rainfall_of(self, rain: Rain) -> Rainfall:
@@ -312,20 +323,17 @@ class Session:
 
     def _poll_files(self) -> None:
         if self._opening is not None and self._opening[1].done():
-            (path, future), self._opening = self._opening, None
+            (path, opening), self._opening = self._opening, None
             try:
-                scene = future.result()
-            except (SceneFormatError, OSError, MemoryError) as error:
-                self.problem = str(error)
-                logger.error("%s", error)
-            else:
-                self.staged = StagedScene(path, scene, is_opened=True)
+                self.staged = StagedScene(path, opening.result(), is_opened=True)
+            except Exception as error:  # whatever a file can do to its reader: the window lives on
+                self.problem = _told(f"{path} can't be opened", error)
         if self._saving is not None and self._saving[1].done():
-            (target, saved), self._saving = self._saving, None
+            (target, saving), self._saving = self._saving, None
             try:
-                saved.result()
-            except (SceneFormatError, OSError) as error:
-                logger.error("%s", error)
+                saving.result()
+            except Exception as error:
+                self.problem = _told(f"{target} can't be saved", error)
             else:
                 logger.info("Saved %s", target)
 
@@ -339,3 +347,12 @@ class Session:
         self.history = History.beginning_with(Document(scene, rain))
         self._follow_document()
         self._enter_scene()
+
+
+def _told(what: str, error: Exception) -> str:
+    """Log what went wrong, with a traceback where it is our own fault; returns it in one sentence."""
+    foreseen = isinstance(error, SceneFormatError | OSError | MemoryError)
+    reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    sentence = reason if isinstance(error, SceneFormatError) else f"{what}: {reason}"
+    logger.error("%s", sentence, exc_info=not foreseen)
+    return sentence
