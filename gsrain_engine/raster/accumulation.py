@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32
 
-from .compositing import BATCH, MIN_TRANSMITTANCE, alpha_of, is_finished, rows_of
+from .compositing import BATCH, MIN_TRANSMITTANCE, alpha_of, columns_of, is_finished
 from .fast_math import FAST
 from .tiles import TILE, TileLists
 
@@ -44,13 +44,13 @@ def _accumulate(shapes, starts, members, columns, image, by_pair):
         # Column by column, as in compositing.
         tile = place % rows * columns + place // rows
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
-        # One line a row: transmittance (0 once finished) and the image's three channels.
+        # One line a column: transmittance (0 once finished) and the image's three channels.
         state = np.zeros((TILE, 4 * TILE), np.float32)
-        state[: height - y0, : min(TILE, width - x0)] = 1
+        state[: width - x0, : min(TILE, height - y0)] = 1
         for v in range(min(TILE, height - y0)):
             for u in range(min(TILE, width - x0)):
                 for channel in range(3):
-                    state[v, (channel + 1) * TILE + u] = image[y0 + v, x0 + u, channel]
+                    state[u, (channel + 1) * TILE + v] = image[y0 + v, x0 + u, channel]
         lanes = np.empty(4 * TILE, np.float32)
         for k in range(starts[tile], starts[tile + 1]):
             if (k - starts[tile]) % BATCH == 0 and is_finished(state):
@@ -67,22 +67,22 @@ def _accumulate(shapes, starts, members, columns, image, by_pair):
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
 def _gather(shape, x0, y0, state, lanes):
-    """Walk the same pixels with the same weights as compositing does; one lane a column of the tile."""
-    x, shear, sharpness, log_cut = shape[0], shape[2], shape[3], shape[6]
-    top, bottom = rows_of(shape, y0)
-    for v in range(top, bottom):
-        dy = np.float32(v) + (y0 - shape[1])
-        peak = shape[5] + shape[4] * dy * dy
-        start = x0 - (x + shear * dy)
-        line = state[v]
-        for u in range(TILE):
-            dx = start + np.float32(u)
-            alpha = alpha_of(sharpness * dx * dx + peak, log_cut)
-            before = line[u]
+    """Walk the same pixels with the same weights as compositing does; one lane a row of the tile."""
+    y, shear, sharpness, log_cut = shape[1], shape[2], shape[4], shape[6]
+    left, right = columns_of(shape, x0)
+    for u in range(left, right):
+        dx = np.float32(u) + (x0 - shape[0])
+        peak = shape[5] + shape[3] * dx * dx
+        start = y0 - (y + shear * dx)
+        line = state[u]
+        for v in range(TILE):
+            dy = start + np.float32(v)
+            alpha = alpha_of(sharpness * dy * dy + peak, log_cut)
+            before = line[v]
             weight = before * alpha
             after = before - weight
-            line[u] = after if after >= MIN_TRANSMITTANCE else np.float32(0)
-            lanes[u] += weight * line[u + TILE]
-            lanes[u + TILE] += weight * line[u + 2 * TILE]
-            lanes[u + 2 * TILE] += weight * line[u + 3 * TILE]
-            lanes[u + 3 * TILE] += weight * weight
+            line[v] = after if after >= MIN_TRANSMITTANCE else np.float32(0)
+            lanes[v] += weight * line[v + TILE]
+            lanes[v + TILE] += weight * line[v + 2 * TILE]
+            lanes[v + 2 * TILE] += weight * line[v + 3 * TILE]
+            lanes[v + 3 * TILE] += weight * weight

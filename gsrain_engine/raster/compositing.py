@@ -92,10 +92,11 @@ def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_l
         tile = place % rows * columns + place // rows
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
         u0, v0 = np.float32(x0 + 0.5), np.float32(y0 + 0.5)
-        # A row's lines of TILE numbers: transmittance (0 once finished), four channels, alpha; for rain see rain_light.
+        # A column's lines of TILE numbers: transmittance (0 once finished), four channels, alpha; for rain see
+        # rain_light.
         lines = RAIN_LINES if light_linear is not None else 6 if veil is None else 7
         state = np.zeros((TILE, lines * TILE), np.float32)
-        state[: height - y0, : min(TILE, width - x0)] = 1
+        state[: width - x0, : min(TILE, height - y0)] = 1
         if light_linear is not None:
             state[:, OPEN : OPEN + TILE] = 1
         # What lies far apart in memory is brought together first: its many misses of the cache then wait at once.
@@ -116,36 +117,37 @@ def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_l
                     _blend_veil(near_shapes[j], u0, v0, state)
                 else:
                     _blend(near_shapes[j], near_channels[j], u0, v0, state)
-        for v in range(min(TILE, height - y0)):
-            line = state[v]
+        for u in range(min(TILE, width - x0)):
+            line = state[u]
             if light_linear is not None:
-                for u in range(min(TILE, width - x0)):
-                    clear_alpha[y0 + v, x0 + u] = line[5 * TILE + u]
+                for v in range(min(TILE, height - y0)):
+                    clear_alpha[y0 + v, x0 + u] = line[5 * TILE + v]
                 add_rain_light(line, light_linear)
             if veil is not None:
-                for u in range(TILE):
-                    share = line[u + VEIL_SHARE]
-                    line[u + TILE] += share * veil[0]
-                    line[u + 2 * TILE] += share * veil[1]
-                    line[u + 3 * TILE] += share * veil[2]
-                    line[u + 5 * TILE] += share
+                for v in range(TILE):
+                    share = line[v + VEIL_SHARE]
+                    line[v + TILE] += share * veil[0]
+                    line[v + 2 * TILE] += share * veil[1]
+                    line[v + 3 * TILE] += share * veil[2]
+                    line[v + 5 * TILE] += share
+        for v in range(min(TILE, height - y0)):
             for u in range(min(TILE, width - x0)):
-                rgba[y0 + v, x0 + u, 0] = line[TILE + u]
-                rgba[y0 + v, x0 + u, 1] = line[2 * TILE + u]
-                rgba[y0 + v, x0 + u, 2] = line[3 * TILE + u]
-                rgba[y0 + v, x0 + u, 3] = line[5 * TILE + u]
-                fourth[y0 + v, x0 + u] = line[4 * TILE + u]
+                rgba[y0 + v, x0 + u, 0] = state[u, TILE + v]
+                rgba[y0 + v, x0 + u, 1] = state[u, 2 * TILE + v]
+                rgba[y0 + v, x0 + u, 2] = state[u, 3 * TILE + v]
+                rgba[y0 + v, x0 + u, 3] = state[u, 5 * TILE + v]
+                fourth[y0 + v, x0 + u] = state[u, 4 * TILE + v]
 
 
 @numba.njit(inline="always")
 @no_type_check
 def is_finished(state):
     """Whether no pixel of a tile takes any more light."""
-    for v in range(TILE):
-        line = state[v]
+    for u in range(TILE):
+        line = state[u]
         largest = np.float32(0)
-        for u in range(TILE):
-            largest = max(largest, line[u])
+        for v in range(TILE):
+            largest = max(largest, line[v])
         if largest > 0:
             return False
     return True
@@ -153,10 +155,10 @@ def is_finished(state):
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def rows_of(shape, y0):
-    """First and past-the-last row of a tile that a splat reaches; y0 is the tile's first pixel centre."""
-    low = np.ceil(shape[1] - shape[7] - y0 - np.float32(0.01))
-    high = np.floor(shape[1] + shape[7] - y0 + np.float32(0.01))
+def columns_of(shape, x0):
+    """First and past-the-last column of a tile that a splat reaches; x0 is the tile's first pixel centre."""
+    low = np.ceil(shape[0] - shape[7] - x0 - np.float32(0.01))
+    high = np.floor(shape[0] + shape[7] - x0 + np.float32(0.01))
     return int(max(low, np.float32(0))), int(min(high, np.float32(TILE - 1))) + 1
 
 
@@ -164,25 +166,25 @@ def rows_of(shape, y0):
 @no_type_check
 def _blend(shape, channels, x0, y0, state):
     first, second, third, fourth = channels[0], channels[1], channels[2], channels[3]
-    x, shear, sharpness, log_cut = shape[0], shape[2], shape[3], shape[6]
-    top, bottom = rows_of(shape, y0)
-    for v in range(top, bottom):
-        dy = np.float32(v) + (y0 - shape[1])
-        peak = shape[5] + shape[4] * dy * dy
-        start = x0 - (x + shear * dy)
-        line = state[v]
-        for u in range(TILE):
-            dx = start + np.float32(u)
-            alpha = alpha_of(sharpness * dx * dx + peak, log_cut)
-            before = line[u]
+    y, shear, sharpness, log_cut = shape[1], shape[2], shape[4], shape[6]
+    left, right = columns_of(shape, x0)
+    for u in range(left, right):
+        dx = np.float32(u) + (x0 - shape[0])
+        peak = shape[5] + shape[3] * dx * dx
+        start = y0 - (y + shear * dx)
+        line = state[u]
+        for v in range(TILE):
+            dy = start + np.float32(v)
+            alpha = alpha_of(sharpness * dy * dy + peak, log_cut)
+            before = line[v]
             weight = before * alpha
             after = before - weight
-            line[u] = after if after >= MIN_TRANSMITTANCE else np.float32(0)
-            line[u + TILE] += weight * first
-            line[u + 2 * TILE] += weight * second
-            line[u + 3 * TILE] += weight * third
-            line[u + 4 * TILE] += weight * fourth
-            line[u + 5 * TILE] += weight
+            line[v] = after if after >= MIN_TRANSMITTANCE else np.float32(0)
+            line[v + TILE] += weight * first
+            line[v + 2 * TILE] += weight * second
+            line[v + 3 * TILE] += weight * third
+            line[v + 4 * TILE] += weight * fourth
+            line[v + 5 * TILE] += weight
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
@@ -193,35 +195,35 @@ def _blend_rain(shape, x0, y0, state):
     Of all that enters a pixel, `taken` meets its first drop here. On its way the scene had covered A of that; the rest
     sees the drop.
     """
-    x, shear, sharpness, log_cut = shape[0], shape[2], shape[3], shape[6]
-    top, bottom = rows_of(shape, y0)
-    for v in range(top, bottom):
-        dy = np.float32(v) + (y0 - shape[1])
-        peak = shape[5] + shape[4] * dy * dy
-        start = x0 - (x + shear * dy)
-        line = state[v]
-        for u in range(TILE):
-            dx = start + np.float32(u)
-            taken = line[u + OPEN] * alpha_of(sharpness * dx * dx + peak, log_cut)
-            line[u + OPEN] -= taken
-            line[u + RAIN_SHARE] += taken * line[u]
-            line[u + SCENE_SHARE] += taken * line[u + 5 * TILE]
+    y, shear, sharpness, log_cut = shape[1], shape[2], shape[4], shape[6]
+    left, right = columns_of(shape, x0)
+    for u in range(left, right):
+        dx = np.float32(u) + (x0 - shape[0])
+        peak = shape[5] + shape[3] * dx * dx
+        start = y0 - (y + shear * dx)
+        line = state[u]
+        for v in range(TILE):
+            dy = start + np.float32(v)
+            taken = line[v + OPEN] * alpha_of(sharpness * dy * dy + peak, log_cut)
+            line[v + OPEN] -= taken
+            line[v + RAIN_SHARE] += taken * line[v]
+            line[v + SCENE_SHARE] += taken * line[v + 5 * TILE]
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
 def _blend_veil(shape, x0, y0, state):
     """Let a splat cover what is behind it; its colour comes on at the end, by its share."""
-    x, shear, sharpness, log_cut = shape[0], shape[2], shape[3], shape[6]
-    top, bottom = rows_of(shape, y0)
-    for v in range(top, bottom):
-        dy = np.float32(v) + (y0 - shape[1])
-        peak = shape[5] + shape[4] * dy * dy
-        start = x0 - (x + shear * dy)
-        line = state[v]
-        for u in range(TILE):
-            dx = start + np.float32(u)
-            alpha = alpha_of(sharpness * dx * dx + peak, log_cut)
-            share = line[u] * alpha
-            line[u] -= share
-            line[u + VEIL_SHARE] += share
+    y, shear, sharpness, log_cut = shape[1], shape[2], shape[4], shape[6]
+    left, right = columns_of(shape, x0)
+    for u in range(left, right):
+        dx = np.float32(u) + (x0 - shape[0])
+        peak = shape[5] + shape[3] * dx * dx
+        start = y0 - (y + shear * dx)
+        line = state[u]
+        for v in range(TILE):
+            dy = start + np.float32(v)
+            alpha = alpha_of(sharpness * dy * dy + peak, log_cut)
+            share = line[v] * alpha
+            line[v] -= share
+            line[v + VEIL_SHARE] += share

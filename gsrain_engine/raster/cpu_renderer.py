@@ -12,6 +12,7 @@ from gsrain_engine.render.statistics import RenderStatistics, Stopwatch
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Part
 
+from .freed_memory import keep_freed_memory
 from .look_colors import in_colors_of
 from .pictures import draw_in_rain, draw_look
 from .projection import project
@@ -25,6 +26,7 @@ class CpuRenderer:
     name = "cpu"
 
     def __init__(self) -> None:
+        keep_freed_memory()
         self.statistics = RenderStatistics()
         self._frame: Frame | None = None
 

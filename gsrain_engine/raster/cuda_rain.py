@@ -19,8 +19,8 @@ torch: Any = import_module("torch")
 
 Tensor = Any
 
-_ROWS = 1 << 14
-"""Pixel rows of splats that are worked on at once."""
+_COLUMNS = 1 << 14
+"""Pixel columns of splats that are worked on at once."""
 _OPAQUE = 0.98
 """The other renderers end a pixel before the splat that would leave less than 1e-4, with up to 2 % of light left."""
 _FIXED_POINT = 2.0**40
@@ -79,28 +79,29 @@ def _covers(slabs: DepthSlabs, height: int, width: int, device: Tensor) -> Tenso
     total = torch.zeros(count * height * width, dtype=torch.int64, device=device)
     shapes = torch.as_tensor(slabs.shapes, device=device)
     image = torch.as_tensor(np.repeat(np.arange(count), np.diff(slabs.starts)), device=device)
-    top = torch.clamp(torch.ceil(shapes[:, 1] - shapes[:, 7] - 0.5), 0, height).long()
-    bottom = torch.clamp(torch.floor(shapes[:, 1] + shapes[:, 7] + 0.5), 0, height).long()
-    splats, rows = _spread(top, bottom)
-    for splat, row in zip(splats.split(_ROWS), rows.split(_ROWS), strict=True):
-        _add_rows(shapes[splat], row, (image[splat] * height + row) * width, width, total)
+    left = torch.clamp(torch.ceil(shapes[:, 0] - shapes[:, 7] - 0.5), 0, width).long()
+    right = torch.clamp(torch.floor(shapes[:, 0] + shapes[:, 7] + 0.5), 0, width).long()
+    splats, columns = _spread(left, right)
+    for splat, column in zip(splats.split(_COLUMNS), columns.split(_COLUMNS), strict=True):
+        _add_columns(shapes[splat], column, image[splat] * (height * width) + column, (height, width), total)
     return -torch.expm1(total.to(torch.float32) / _FIXED_POINT).reshape(count, height, width)
 
 
-def _add_rows(shapes: Tensor, rows: Tensor, places: Tensor, width: int, total: Tensor) -> None:
-    """Add ln(1 - alpha) along one pixel row of each splat, which begins at a place in `total`; see `Splats`."""
+def _add_columns(shapes: Tensor, columns: Tensor, places: Tensor, size: tuple[int, int], total: Tensor) -> None:
+    """Add ln(1 - alpha) down one pixel column of each splat, which begins at a place in `total`; see `Splats`."""
+    height, width = size
     x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, _ = shapes.unbind(1)
-    dy = rows + 0.5 - y
-    peak = log_opacity + sharpness_y * dy * dy
-    center = x + shear * dy
-    half = torch.sqrt(torch.clamp((peak - log_cut) / -sharpness_x, min=0))
-    left = torch.clamp(torch.ceil(center - half - 0.5), 0, width).long()
-    right = torch.clamp(torch.floor(center + half + 0.5), 0, width).long()
-    row, u = _spread(left, right)
-    dx = u + 0.5 - center[row]
-    alpha = torch.exp(peak[row] + sharpness_x[row] * dx * dx)
+    dx = columns + 0.5 - x
+    peak = log_opacity + sharpness_x * dx * dx
+    center = y + shear * dx
+    half = torch.sqrt(torch.clamp((peak - log_cut) / -sharpness_y, min=0))
+    top = torch.clamp(torch.ceil(center - half - 0.5), 0, height).long()
+    bottom = torch.clamp(torch.floor(center + half + 0.5), 0, height).long()
+    column, v = _spread(top, bottom)
+    dy = v + 0.5 - center[column]
+    alpha = torch.exp(peak[column] + sharpness_y[column] * dy * dy)
     logs = torch.log1p(-torch.clamp(alpha, max=float(MAX_ALPHA)))
-    total.index_add_(0, places[row] + u, (logs * _FIXED_POINT).to(torch.int64))
+    total.index_add_(0, places[column] + v * width, (logs * _FIXED_POINT).to(torch.int64))
 
 
 def _spread(starts: Tensor, ends: Tensor) -> tuple[Tensor, Tensor]:

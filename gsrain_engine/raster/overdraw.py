@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32
 
-from .compositing import rows_of
+from .compositing import columns_of
 from .fast_math import FAST
 from .tiles import TILE, TileLists
 
@@ -29,17 +29,17 @@ def _count(shapes, starts, members, columns, counts):
             _count_pixels(shapes[members[k]], np.float32(x0 + 0.5), np.float32(y0 + 0.5), state)
         for v in range(min(TILE, height - y0)):
             for u in range(min(TILE, width - x0)):
-                counts[y0 + v, x0 + u] = state[v, u]
+                counts[y0 + v, x0 + u] = state[u, v]
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
 def _count_pixels(shape, x0, y0, state):
-    top, bottom = rows_of(shape, y0)
-    for v in range(top, bottom):
-        dy = np.float32(v) + (y0 - shape[1])
-        peak = shape[5] + shape[4] * dy * dy
-        start = x0 - (shape[0] + shape[2] * dy)
-        for u in range(TILE):
-            dx = start + np.float32(u)
-            state[v, u] += np.float32(1) if shape[3] * dx * dx + peak >= shape[6] else np.float32(0)
+    left, right = columns_of(shape, x0)
+    for u in range(left, right):
+        dx = np.float32(u) + (x0 - shape[0])
+        peak = shape[5] + shape[3] * dx * dx
+        start = y0 - (shape[1] + shape[2] * dx)
+        for v in range(TILE):
+            dy = start + np.float32(v)
+            state[u, v] += np.float32(1) if shape[4] * dy * dy + peak >= shape[6] else np.float32(0)

@@ -236,13 +236,13 @@ def _shape(mean, scale, q, opacity, is_rain, as_point, m, intrinsics, shape):
     reach_x, reach_y = extent * np.sqrt(xx), extent * np.sqrt(yy)
     if not (u + reach_x > 0 and u - reach_x < width and v + reach_y > 0 and v - reach_y < height):
         return 0.0
-    by_yy = 1 / yy
+    by_xx = 1 / xx
     shape[0], shape[1] = u, v
-    shape[2] = xy * by_yy
-    shape[3] = -0.5 * yy / determinant
-    shape[4] = -0.5 * by_yy
+    shape[2] = xy * by_xx
+    shape[3] = -0.5 * by_xx
+    shape[4] = -0.5 * xx / determinant
     shape[5], shape[6] = log_alpha, log_cut
-    shape[7] = reach_y
+    shape[7] = reach_x
     return pz
 
 

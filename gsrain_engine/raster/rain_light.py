@@ -10,40 +10,40 @@ from .fast_math import FAST, power
 from .tiles import TILE
 
 OPEN, RAIN_SHARE, SCENE_SHARE = 6 * TILE, 7 * TILE, 8 * TILE
-"""Where a tile's row keeps, behind the lines of `composite`: the product of 1 - alpha of the rain alone, the rain's
+"""Where a tile's column keeps, behind the lines of `composite`: the product of 1 - alpha of the rain alone, the rain's
 share, and the scene's share before rain; TILE numbers each."""
 
 VEIL_SHARE = 6 * TILE
-"""Where a row keeps the rain's share alone, when its colour comes on at the end."""
+"""Where a column keeps the rain's share alone, when its colour comes on at the end."""
 
 RAIN_LINES = 9
-"""Lines of a row in rain."""
+"""Lines of a column in rain."""
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
 def add_rain_light(line: Float32[np.ndarray, " nine_tiles"], light_linear: Float32[np.ndarray, "3"]) -> None:
-    """Put a row's scene and the drops before and in it together, in place of the scene's colour and alpha.
+    """Put a column's scene and the drops before and in it together, in place of the scene's colour and alpha.
 
     With the scene's premultiplied colour B and alpha A, its share W_s, the rain's share W_r and a drop's colour S in
     linear light: enc(min(W_s / A, 1) dec(B) + W_r S), alpha W_r + W_s. Where there is no rain, B and A bit for bit.
     """
     wettest = np.float32(0)
-    for u in range(TILE):
-        wettest = max(wettest, line[u + RAIN_SHARE])
+    for v in range(TILE):
+        wettest = max(wettest, line[v + RAIN_SHARE])
     if wettest == 0:
         return
     # One channel after the other: only numbers that lie side by side become SIMD.
-    for u in range(TILE):
-        alpha = line[u + 5 * TILE]
-        scene = line[u + SCENE_SHARE] + line[u + OPEN] * alpha
-        line[u + OPEN] = min(scene / alpha, np.float32(1)) if alpha > 0 else np.float32(1)
-        line[u + 5 * TILE] = line[u + RAIN_SHARE] + scene if line[u + RAIN_SHARE] > 0 else alpha
+    for v in range(TILE):
+        alpha = line[v + 5 * TILE]
+        scene = line[v + SCENE_SHARE] + line[v + OPEN] * alpha
+        line[v + OPEN] = min(scene / alpha, np.float32(1)) if alpha > 0 else np.float32(1)
+        line[v + 5 * TILE] = line[v + RAIN_SHARE] + scene if line[v + RAIN_SHARE] > 0 else alpha
     for channel in range(3):
-        for u in range(TILE):
-            rain, before = line[u + RAIN_SHARE], line[u + (1 + channel) * TILE]
-            mixed = _to_display(line[u + OPEN] * _to_linear(before) + rain * light_linear[channel])
-            line[u + (1 + channel) * TILE] = mixed if rain > 0 else before
+        for v in range(TILE):
+            rain, before = line[v + RAIN_SHARE], line[v + (1 + channel) * TILE]
+            mixed = _to_display(line[v + OPEN] * _to_linear(before) + rain * light_linear[channel])
+            line[v + (1 + channel) * TILE] = mixed if rain > 0 else before
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)

@@ -22,13 +22,14 @@ LEAST_SCENE_CUT = np.float32(LOG_SCENE_CUT - 1)
 class Splats:
     """Gaussians that one camera may see, in their own order.
 
-    A row of `shapes` holds x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, reach_y. With the pixel centre
-    (u, v) and dy = v - y,
+    A row of `shapes` holds x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, reach_x. With the pixel centre
+    (u, v) and dx = u - x,
 
-        ln alpha = log_opacity + sharpness_y * dy^2 + sharpness_x * (u - x - shear * dy)^2, cut below log_cut,
+        ln alpha = log_opacity + sharpness_x * dx^2 + sharpness_y * (v - y - shear * dx)^2, cut below log_cut,
 
-    where shear = cov_xy / cov_yy, sharpness_x = -cov_yy / (2 det), sharpness_y = -1 / (2 cov_yy), |dy| <= reach_y: the
-    2D Gaussian row by row, both terms negative, so that no cancellation spoils long needles.
+    where shear = cov_xy / cov_xx, sharpness_x = -1 / (2 cov_xx), sharpness_y = -cov_xx / (2 det), |dx| <= reach_x: the
+    2D Gaussian column by column, both terms negative, so that no cancellation spoils long needles. By columns because
+    rain falls: a streak touches few of them.
     """
 
     shapes: Float32[np.ndarray, "m 8"]

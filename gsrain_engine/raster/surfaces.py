@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32
 
-from .compositing import BATCH, is_finished, rows_of
+from .compositing import BATCH, columns_of, is_finished
 from .fast_math import FAST
 from .tiles import TILE, TileLists
 
@@ -34,9 +34,9 @@ def _cover(shapes, colors, starts, members, columns, rgba):
     height, width = rgba.shape[:2]
     for tile in numba.prange(len(starts) - 1):
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
-        # A row's lines of TILE numbers: 1 while nothing covers the pixel, three channels.
+        # A column's lines of TILE numbers: 1 while nothing covers the pixel, three channels.
         state = np.zeros((TILE, 4 * TILE), np.float32)
-        state[: height - y0, : min(TILE, width - x0)] = 1
+        state[: width - x0, : min(TILE, height - y0)] = 1
         for k in range(starts[tile], starts[tile + 1]):
             if (k - starts[tile]) % BATCH == 0 and is_finished(state):
                 break
@@ -44,26 +44,26 @@ def _cover(shapes, colors, starts, members, columns, rgba):
         for v in range(min(TILE, height - y0)):
             for u in range(min(TILE, width - x0)):
                 for channel in range(3):
-                    rgba[y0 + v, x0 + u, channel] = state[v, (1 + channel) * TILE + u]
-                rgba[y0 + v, x0 + u, 3] = 1 - state[v, u]
+                    rgba[y0 + v, x0 + u, channel] = state[u, (1 + channel) * TILE + v]
+                rgba[y0 + v, x0 + u, 3] = 1 - state[u, v]
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
 def _cover_pixels(shape, color, x0, y0, state):
     by_height = 1 / (shape[5] - _LOG_SURFACE_ALPHA)
-    top, bottom = rows_of(shape, y0)
-    for v in range(top, bottom):
-        dy = np.float32(v) + (y0 - shape[1])
-        fall = shape[4] * dy * dy
-        start = x0 - (shape[0] + shape[2] * dy)
-        line = state[v]
-        for u in range(TILE):
-            dx = start + np.float32(u)
-            power = shape[3] * dx * dx + fall
-            is_hit = line[u] > 0 and shape[5] + power >= _LOG_SURFACE_ALPHA
+    left, right = columns_of(shape, x0)
+    for u in range(left, right):
+        dx = np.float32(u) + (x0 - shape[0])
+        fall = shape[3] * dx * dx
+        start = y0 - (shape[1] + shape[2] * dx)
+        line = state[u]
+        for v in range(TILE):
+            dy = start + np.float32(v)
+            power = shape[4] * dy * dy + fall
+            is_hit = line[v] > 0 and shape[5] + power >= _LOG_SURFACE_ALPHA
             shade = np.float32(0.5) + np.float32(0.5) * np.sqrt(max(1 + power * by_height, np.float32(0)))
-            line[u] = np.float32(0) if is_hit else line[u]
+            line[v] = np.float32(0) if is_hit else line[v]
             for channel in range(3):
-                before = line[u + (1 + channel) * TILE]
-                line[u + (1 + channel) * TILE] = color[channel] * shade if is_hit else before
+                before = line[v + (1 + channel) * TILE]
+                line[v + (1 + channel) * TILE] = color[channel] * shade if is_hit else before

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, Int64
 
 TILE = 16
-"""Side of a tile in pixels: a row of it is one 512-bit or two 256-bit vectors of float32."""
+"""Side of a tile in pixels: a column of it is one 512-bit or two 256-bit vectors of float32."""
 
 BATCH = 32
 """Splats that are brought together from all over memory before work on them begins: their cache misses wait at once."""
@@ -48,14 +48,15 @@ def bin_into_tiles(
     """List the splats of each tile in a given order; `shapes` as in `Splats`.
 
     The test is exact: a tile is listed if and only if a pixel centre's rectangle of it meets the ellipse on which alpha
-    is the splat's cut (the idea of Speedy-Splat, Hanson et al. 2025, row by row).
+    is the splat's cut (the idea of Speedy-Splat, Hanson et al. 2025, column by column).
 
     Raises:
         MemoryError: When the lists would hold more than 2^30 entries.
     """
     columns, rows = -(-width // TILE), -(-height // TILE)
     counts = np.zeros((_CHUNKS, columns * rows), np.int64)
-    _walk(shapes, order, columns, rows, counts, None)
+    boxes, masks = np.empty((len(order), 4), np.int16), np.empty(len(order), np.uint64)
+    _count(shapes, order, columns, rows, counts, boxes, masks)
     by_tile = counts.T.ravel()
     ends = np.cumsum(by_tile)
     pairs = int(ends[-1])
@@ -64,49 +65,82 @@ def bin_into_tiles(
     places = np.ascontiguousarray((ends - by_tile).reshape(-1, _CHUNKS).T)
     starts = np.append(places[0], pairs)
     members = np.empty(pairs, np.int32)
-    _walk(shapes, order, columns, rows, places, members)
+    _write(shapes, order, columns, rows, boxes, masks, places, members)
     return TileLists(width, height, starts, members)
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
-def _walk(shapes, order, columns, rows, places, members):
-    """Move each tile's place on by one for each splat that touches it, and write the splat there if `members` is given.
+def _count(shapes, order, columns, rows, counts, boxes, masks):
+    """Count each tile's splats. For each splat note the box of tiles around it, and which of them it touches.
 
-    A chunk of the splats has places of its own: chunks are walked side by side.
+    One bit a tile, column by column; none where the box has more than 64. A chunk of the splats has counts of its own:
+    chunks are walked side by side.
     """
     size = (len(order) + _CHUNKS - 1) // _CHUNKS
     for chunk in numba.prange(_CHUNKS):
-        place = places[chunk]
+        count = counts[chunk]
         near_shapes = np.empty((BATCH, 8), np.float32)
         for first in range(chunk * size, min(len(order), (chunk + 1) * size), BATCH):
-            batch = order[first : min(first + BATCH, len(order), (chunk + 1) * size)]
-            for j in range(len(batch)):
+            last = min(first + BATCH, len(order), (chunk + 1) * size)
+            for k in range(first, last):
                 for i in range(8):
-                    near_shapes[j, i] = shapes[batch[j], i]
-            for j in range(len(batch)):
-                ellipse = _ellipse(near_shapes[j])
+                    near_shapes[k - first, i] = shapes[order[k], i]
+            for k in range(first, last):
+                ellipse = _ellipse(near_shapes[k - first])
                 left, right, top, bottom, is_exact = _box(ellipse, columns, rows)
-                for row in range(top, bottom):
-                    if not is_exact:
-                        left, right = _columns_of_row(ellipse, row, columns)
-                    for tile in range(row * columns + left, row * columns + right):
-                        if members is not None:
-                            members[place[tile]] = batch[j]
+                boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3] = left, right, top, bottom
+                has_bits = (right - left) * (bottom - top) <= 64
+                bit, mask = 0, np.uint64(0)
+                for column in range(left, right):
+                    highest, lowest = (top, bottom) if is_exact else _rows_of_column(ellipse, column, rows)
+                    for row in range(highest, lowest):
+                        count[row * columns + column] += 1
+                        if has_bits:
+                            mask |= np.uint64(1) << np.uint64(bit + row - top)
+                    bit += bottom - top
+                masks[k] = mask
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _write(shapes, order, columns, rows, boxes, masks, places, members):
+    """Write each splat to the places of the tiles that it touches, and move those on by one."""
+    size = (len(order) + _CHUNKS - 1) // _CHUNKS
+    for chunk in numba.prange(_CHUNKS):
+        place = places[chunk]
+        for k in range(chunk * size, min(len(order), (chunk + 1) * size)):
+            left, right, top, bottom = boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3]
+            mask = masks[k]
+            if mask != 0:
+                for column in range(left, right):
+                    for row in range(top, bottom):
+                        if mask & np.uint64(1):
+                            tile = row * columns + column
+                            members[place[tile]] = order[k]
+                            place[tile] += 1
+                        mask >>= np.uint64(1)
+            else:
+                ellipse = _ellipse(shapes[order[k]])
+                for column in range(left, right):
+                    highest, lowest = _rows_of_column(ellipse, column, rows)
+                    for row in range(highest, lowest):
+                        tile = row * columns + column
+                        members[place[tile]] = order[k]
                         place[tile] += 1
 
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _ellipse(shape):
-    """Where alpha is the cut: centre, reach in x and y, shear, and what each row's extent is made of; float64."""
-    shear, variance, cov_yy = np.float64(shape[2]), -0.5 / np.float64(shape[3]), -0.5 / np.float64(shape[4])
+    """Where alpha is the cut: centre, reach in x and y, shear, and what each column's extent is made of; float64."""
+    shear, cov_xx, variance = np.float64(shape[2]), -0.5 / np.float64(shape[3]), -0.5 / np.float64(shape[4])
     depth = np.float64(shape[5]) - shape[6]  # ln(alpha / cut) at the centre
-    cov_xx = variance + shear * shear * cov_yy
-    reach_x = np.sqrt(2 * depth * cov_xx)
-    # The rightmost point is so far below the centre; the leftmost is opposite.
-    turn = reach_x * shear * cov_yy / cov_xx
-    return np.float64(shape[0]), np.float64(shape[1]), reach_x, np.float64(shape[7]), shear, variance, depth, turn
+    cov_yy = variance + shear * shear * cov_xx
+    reach_y = np.sqrt(2 * depth * cov_yy)
+    # The lowest point is so far to the right of the centre; the highest is opposite.
+    turn = reach_y * shear * cov_xx / cov_yy
+    return np.float64(shape[0]), np.float64(shape[1]), np.float64(shape[7]), reach_y, shear, variance, depth, turn
 
 
 @numba.njit(forceinline=True, error_model="numpy")
@@ -142,13 +176,13 @@ def _tiles_between(low, high, count):
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def _columns_of_row(ellipse, row, columns):
-    """Tiles of one row that the ellipse touches: its extent in x within the band of the row's pixel centres."""
-    x, y, _, reach, shear, variance, depth, turn = ellipse
-    top = min(max(row * TILE + 0.5 - _SLACK_PX - y, -reach), reach)
-    bottom = max(min((row + 1) * TILE - 0.5 + _SLACK_PX - y, reach), -reach)
-    at_right, at_left = min(max(turn, top), bottom), min(max(-turn, top), bottom)
+def _rows_of_column(ellipse, column, rows):
+    """Tiles of one column that the ellipse touches: its extent in y within the band of the column's pixel centres."""
+    x, y, reach, _, shear, variance, depth, turn = ellipse
+    left = min(max(column * TILE + 0.5 - _SLACK_PX - x, -reach), reach)
+    right = max(min((column + 1) * TILE - 0.5 + _SLACK_PX - x, reach), -reach)
+    at_bottom, at_top = min(max(turn, left), right), min(max(-turn, left), right)
     fall = depth / (reach * reach)
-    right = x + shear * at_right + np.sqrt(2 * variance * max(depth - fall * at_right * at_right, 0.0))
-    left = x + shear * at_left - np.sqrt(2 * variance * max(depth - fall * at_left * at_left, 0.0))
-    return _tiles_between(left, right, columns)
+    bottom = y + shear * at_bottom + np.sqrt(2 * variance * max(depth - fall * at_bottom * at_bottom, 0.0))
+    top = y + shear * at_top - np.sqrt(2 * variance * max(depth - fall * at_top * at_top, 0.0))
+    return _tiles_between(top, bottom, rows)

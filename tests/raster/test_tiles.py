@@ -13,8 +13,8 @@ def powers_above_the_cut(shape: np.ndarray, width: int, height: int) -> np.ndarr
     """ln(alpha / cut) of one splat in every pixel, float64."""
     v, u = np.mgrid[:height, :width] + 0.5
     x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, _ = shape.astype(np.float64)
-    dy = v - y
-    return log_opacity - log_cut + sharpness_y * dy**2 + sharpness_x * (u - x - shear * dy) ** 2
+    dx = u - x
+    return log_opacity - log_cut + sharpness_x * dx**2 + sharpness_y * (v - y - shear * dx) ** 2
 
 
 @settings(max_examples=25, deadline=None)
@@ -44,8 +44,8 @@ def reaches(shape: np.ndarray, column: int, row: int) -> bool:
     u = np.linspace(column * TILE + 0.48, (column + 1) * TILE - 0.48, 400)
     v = np.linspace(row * TILE + 0.48, (row + 1) * TILE - 0.48, 400)
     x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, _ = shape.astype(np.float64)
-    dy = v[:, None] - y
-    power = log_opacity - log_cut + sharpness_y * dy**2 + sharpness_x * (u - x - shear * dy) ** 2
+    dx = u - x
+    power = log_opacity - log_cut + sharpness_x * dx**2 + sharpness_y * (v[:, None] - y - shear * dx) ** 2
     return bool(power.max() > -1e-2)
 
 
