@@ -2,9 +2,12 @@
 
 from imgui_bundle import imgui
 
+from gsrain_engine.render.gpu_arrays import Harmonics
 from gsrain_engine.session.session import Session
 
 from .fields import plain_label
+
+_STORAGES: dict[Harmonics, str] = {"single": "32 bits", "half": "16 bits", "byte": "8 bits"}
 
 
 def scene_panel(session: Session) -> None:
@@ -29,6 +32,13 @@ def scene_panel(session: Session) -> None:
     changed, index = imgui.combo("##resolution", view.shrink - 1, ["100 %", "50 %", "33 %"])
     if changed:
         view.shrink = index + 1
+    plain_label("Colors on the GPU", "Fewer bits take less memory and, of large scenes, less time a frame.")
+    imgui.begin_disabled(session.backend != "opengl")
+    storages = list(_STORAGES)
+    changed, index = imgui.combo("##harmonics", storages.index(view.harmonics), list(_STORAGES.values()))
+    if changed:
+        view.harmonics = storages[index]
+    imgui.end_disabled()
     plain_label("While moving", "Hold this frame time while the camera moves by drawing less; exact once it rests.")
     _, session.budget.enabled = imgui.checkbox("##budget", session.budget.enabled)
     imgui.same_line()

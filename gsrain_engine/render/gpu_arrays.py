@@ -102,6 +102,16 @@ class GpuArrays:
                     buffer.release()
         self._used.clear()
 
+    def keep_harmonics_as(self, harmonics: Harmonics) -> None:
+        """Keep colours in another storage; those that are here are uploaded anew for their next frame.
+
+        No upload may be under way.
+        """
+        self.harmonics = harmonics
+        for key in [key for key, array in self._arrays.items() if array.sources[0].ndim == 3]:
+            for buffer in self._arrays.pop(key).buffers:
+                buffer.release()
+
     def _packed(self, sources: tuple[Float32[np.ndarray, "..."], ...], rows: slice) -> UInt8[np.ndarray, "m bytes"]:
         """Rows as the shader reads them: means beside opacities, harmonics in their storage, the rest as it is."""
         first = sources[0][rows]

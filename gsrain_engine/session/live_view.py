@@ -70,6 +70,9 @@ class LiveView:
         if self._cpu is not None and self._cpu.has_failed:
             self._cpu = None
         self._on_cpu = self._cpu is not None and self._cpu.is_ready  # once a frame: it may become so at any moment
+        if session.view.harmonics != self._opengl.arrays.harmonics:
+            self._opengl.arrays.keep_harmonics_as(session.view.harmonics)
+            self._staged = None  # its upload begins anew
         self._go_on_uploading()
         sides = session.sides
         detail = self._choose_detail(session.shot(width, height))
@@ -248,5 +251,5 @@ def _fingerprint(session: Session, side: Side, shot: Shot) -> _Seen:
         shot.time_s if raining or side.scene.actors else 0.0,
         (camera.world_to_camera.tobytes(), camera.width, camera.height, camera.fx),
         velocity,
-        (view.background, view.gain_ev, view.look),
+        (view.background, view.gain_ev, view.look, view.harmonics),
     )

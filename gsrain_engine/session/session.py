@@ -15,6 +15,7 @@ from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import OVERCAST, Rainfall
 from gsrain_engine.render.frame import Color
+from gsrain_engine.render.gpu_arrays import Harmonics
 from gsrain_engine.render.look import Look
 from gsrain_engine.render.scene_view import Shot
 from gsrain_engine.scene.camera_path import CameraPath
@@ -62,6 +63,8 @@ class ViewOptions:
     """Which two pictures stand side by side."""
     divider: float = 0.5
     """Where the left one ends, as a share of the width."""
+    harmonics: Harmonics = "half"
+    """How colours lie on the GPU."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -249,6 +249,18 @@ def test_smaller_harmonics_show_nearly_the_same(context, harmonics, tolerance):
         assert 0 < np.abs(small - exact).max() < tolerance
 
 
+def test_harmonics_change_their_storage_in_place(context):
+    rng = np.random.default_rng(3)
+    set_ = gaussians(rng.uniform([-2, -1, 1], [2, 1, 9], (500, 3)), 0.1, 0.5)
+    set_ = set_.with_sh(rng.normal(0, 0.3, (500, 4, 3)).astype(np.float32))
+    renderer = SplatRenderer(context)
+    for harmonics in ("byte", "single", "half"):
+        draw(renderer, set_)
+        renderer.arrays.keep_harmonics_as(harmonics)
+        fresh = SplatRenderer(context, harmonics=harmonics)
+        assert draw(renderer, set_).rgba.tobytes() == draw(fresh, set_).rgba.tobytes()
+
+
 def test_uploading_in_slices_shows_the_same(context):
     rng = np.random.default_rng(5)
     set_ = gaussians(rng.uniform([-2, -1, 1], [2, 1, 9], (5000, 3)), 0.1, 0.5)

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -27,10 +28,10 @@ from ui.shortcuts import chord  # noqa: E402
 class Driver:
     """A window, and what a hand on mouse and keyboard can do."""
 
-    def __init__(self, tmp_path, scene=None):
+    def __init__(self, tmp_path, scene=None, backend="auto"):
         self.session = Session(scene or small_scene())
         self.session.clock.playing = False
-        self.window = Window(lambda: self.session)
+        self.window = Window(lambda: self.session, backend)
         self.folder = tmp_path
         self.ctx = None
 
@@ -376,5 +377,24 @@ def test_while_the_camera_moves_less_is_drawn_and_all_of_it_at_rest(driver):
         driver.click("//View/Home")
         driver.until(lambda: session.detail.is_exact)
         assert np.array_equal(driver.picture(), exact)
+
+    driver.run(script)
+
+
+def test_colors_take_fewer_bits_on_the_gpu(tmp_path):
+    scene = small_scene()
+    road = scene.layers[0]
+    shiny = np.random.default_rng(0).normal(0.5, 0.1, (len(road.gaussians), 4, 3)).astype(np.float32)
+    scene = replace(scene, layers=(replace(road, gaussians=road.gaussians.with_sh(shiny)), *scene.layers[1:]))
+    driver = Driver(tmp_path, scene, backend="opengl")
+
+    def script():
+        fine = driver.picture()
+        driver.ctx.window_focus("//Scene")
+        driver.ctx.set_ref("//Scene")
+        driver.ctx.combo_click("##harmonics/8 bits")
+        driver.frames()
+        assert driver.view.session.view.harmonics == "byte"
+        assert 0 < np.abs(driver.picture() - fine).max() < 8
 
     driver.run(script)
