@@ -1,0 +1,1 @@
+"""Measured rain: drop spectra from disdrometer files, and what can be trusted in them."""
