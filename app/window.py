@@ -1,6 +1,7 @@
 """The window: hello_imgui owns it. It stands at once; what it shows is loaded behind it."""
 
 import threading
+import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,14 @@ _REQUIRED_VERSION = 430
 
 
 def run_window(begin: "Callable[[], Session]", backend: "WindowBackend" = "auto") -> None:
-    """Open the window and return when it is closed; `begin` makes the session, in a thread of its own."""
+    """Open the window and return when it is closed; `begin` makes the session, in a thread of its own.
+
+    Raises `OSError` where the display can't be opened.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", glfw.GLFWError)
+        if not glfw.init():
+            raise OSError("the display can't be opened (DISPLAY or WAYLAND_DISPLAY names one that is not there)")
     window = Window(begin, backend)
     immapp.run(window.parameters(), immapp.AddOnsParams(with_implot=False))
     if window.failure is not None:

@@ -20,7 +20,7 @@ DILATION_PX2 = 0.3
 """Added to the 2D covariance: the pixel's own footprint (3DGS, Kerbl et al. 2023)."""
 
 _CHUNK = 512
-_FEW = 8192
+FEW = 8192
 """So many Gaussians one thread does sooner than it could call the others."""
 
 _Flags = Sequence[Bool[np.ndarray, " _"] | None]
@@ -51,7 +51,7 @@ def project(parts: Sequence[Part], camera: Camera, rain: _Flags | None = None, *
         g, last = part.gaussians, first + len(own)
         flags = rain[number] if rain is not None else None
         scales = g.scales if part.growth == 1 else g.scales[: part.drawn_count] * np.float32(part.growth)
-        fill = _project_few if len(own) < _FEW else _project_part
+        fill = _project_few if len(own) < FEW else _project_part
         fill(
             own, g.means, scales, g.quaternions, g.opacities, g.sh, np.zeros(0, np.bool_) if flags is None else flags,
             as_points, way, eye_in_object(camera, part), intrinsics, shapes[first:last], colors[first:last],
@@ -95,7 +95,7 @@ def _candidates(
     flags = np.empty(n, np.bool_)
     largest = part.growth * np.cbrt(abs(np.linalg.det(object_to_camera[:3, :3])))
     least = -np.inf if as_points else RAIN_ALPHA_CUT
-    find = _find_few_candidates if n < _FEW else _find_candidates
+    find = _find_few_candidates if n < FEW else _find_candidates
     find(g.means[:n], g.scales[:n], g.opacities[:n], least, object_to_camera, largest, intrinsics, flags)
     return np.flatnonzero(flags)
 

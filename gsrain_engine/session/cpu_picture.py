@@ -10,6 +10,7 @@ import numpy as np
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import Rainfall, View
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
+from gsrain_engine.raster.projection import FEW
 from gsrain_engine.render.look import Look
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.drawing_order import put_into_drawing_order
@@ -65,16 +66,13 @@ class CpuPicture:
 
 
 def compile_kernels() -> None:
-    """Draw one Gaussian in every way there is, so that each kernel is compiled (or read from the cache)."""
-    f = np.float32
-    one = Gaussians(
-        np.array([[0, 0, 2]], f), np.full((1, 3), 0.1, f), np.array([[1, 0, 0, 0]], f), np.ones(1, f),
-        np.zeros((1, 1, 3), f),
-    )  # fmt: skip
+    """Draw one Gaussian, and many, in every way there is, so that each kernel is compiled (or read from the cache)."""
+    one = _balls(1)
     camera = Camera(32, 32, 32.0, 32.0, 16.0, 16.0)
     renderer, parts = CpuRenderer(), [Part(one, np.eye(4))]
     for degree in (1, 4, 9, 16):
-        renderer.draw([Part(one.with_sh(np.zeros((1, degree, 3), f)), np.eye(4))], camera, with_depth=True)
+        renderer.draw([Part(one.with_sh(np.zeros((1, degree, 3), np.float32)), np.eye(4))], camera, with_depth=True)
+    renderer.draw([Part(_balls(FEW), np.eye(4))], camera)
     view = View(camera, np.eye(4), np.zeros(3))
     for mixing in ("linear", "display"):
         rain = Rain(intensity_mm_h=1.0, rain_light=mixing)
@@ -82,3 +80,11 @@ def compile_kernels() -> None:
     put_into_drawing_order(one)
     for look in get_args(Look):
         renderer.draw(parts, camera, look=look)
+
+
+def _balls(count: int) -> Gaussians:
+    """Gaussians in front of a camera at the origin, all in one place."""
+    means, quaternions = np.zeros((count, 3), np.float32), np.zeros((count, 4), np.float32)
+    means[:, 2], quaternions[:, 0] = 2, 1
+    scales, opacities = np.full((count, 3), 0.1, np.float32), np.ones(count, np.float32)
+    return Gaussians(means, scales, quaternions, opacities, np.zeros((count, 1, 3), np.float32))

@@ -200,6 +200,15 @@ def test_without_a_display_the_window_says_so(room, monkeypatch, capsys):
     assert "no display" in capsys.readouterr().err
 
 
+def test_a_display_that_is_not_there_is_told(room):
+    environment = os.environ | {"DISPLAY": ":99999"}
+    environment.pop("WAYLAND_DISPLAY", None)
+    command = [sys.executable, "-m", "app", str(room)]
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    assert ended.returncode == BAD_INPUT
+    assert ended.stderr.strip().startswith("gsrain: the display can't be opened")
+
+
 def test_help_lists_every_command(capsys):
     run(["--help"])
     said = capsys.readouterr().out
