@@ -24,6 +24,8 @@ COMMANDS = {
     "info": "Print counts, bounds, spherical harmonics, units and memory of a scene.",
     "convert": "Convert between scene formats.",
     "street": "Write the built-in street: scene, tracks, camera rig, images with depth, normals and labels.",
+    "calibrate": "Fit a rain calibration to disdrometer files: drop numbers, sizes and speeds by intensity.",
+    "disdrometer": "Hold a virtual disdrometer into the simulated rain, and compare with what was asked for.",
     "doctor": "Look for everything that GSRAIN can use, and say what is missing.",
 }
 for name, summary in COMMANDS.items():

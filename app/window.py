@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 # imgui_bundle brings its own GLFW library and has to come before the glfw package.
-from imgui_bundle import ImVec2, hello_imgui, imgui, immapp
+from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot
 
 import glfw  # isort: skip
 import moderngl
@@ -87,7 +87,8 @@ class Window:
             self.workspace.session.open(paths[0])
 
     def _start(self) -> None:
-        """Share the window's OpenGL context, take in dropped files, begin to load."""
+        """Share the window's OpenGL context, make room for plots, take in dropped files, begin to load."""
+        implot.create_context()
         self._context = moderngl.create_context(require=_REQUIRED_VERSION)
         glfw.set_drop_callback(glfw_utils.glfw_window_hello_imgui(), lambda _, paths: self.drop(paths))
         self._loader.start()
@@ -127,6 +128,7 @@ class Window:
         self._loader.join()
         if self._session is not None:
             self._session.close()
+        implot.destroy_context()
 
 
 def _splits() -> list[hello_imgui.DockingSplit]:

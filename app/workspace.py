@@ -9,6 +9,7 @@ from gsrain_engine.rain.rain import Rain
 from gsrain_engine.session.clock import Pace
 from gsrain_engine.session.live_view import LiveView
 from gsrain_engine.session.session import Session, WindowBackend
+from ui.file_dialogs import answer_dialogs
 from ui.menus import Menus
 from ui.panels import PANELS
 from ui.shortcuts import chord, handle_shortcuts
@@ -76,7 +77,7 @@ class Workspace:
             self._menus.ask_what_to_open()
         if imgui.is_key_chord_pressed(chord(imgui.Key.mod_ctrl, imgui.Key.s)):
             self._menus.ask_where_to_save()
-        self._menus.answer()
+        answer_dialogs()
         viewport_panel(self.session, self._textures)
 
     def _textures(self, width: int, height: int) -> list[int]:

@@ -1,12 +1,13 @@
-"""The menu bar and the file dialogs."""
+"""The menu bar."""
 
 from pathlib import Path
 
-from imgui_bundle import im_file_dialog, imgui
+from imgui_bundle import imgui
 
 from gsrain_engine.session.session import Session
 
-_OPEN, _SAVE = "open scene", "save scene"
+from .file_dialogs import ask_what_to_open, ask_where_to_save
+
 _SCENES = "Scenes{.ply,.splat,.spz,.ksplat,.sog,.json},All files{.*}"
 _SAVED = "Scene files{.ply,.splat,.spz},Scene folders{.*}"
 
@@ -47,21 +48,11 @@ class Menus:
 
     def ask_what_to_open(self) -> None:
         """Show the open dialog."""
-        im_file_dialog.FileDialog.instance().open(_OPEN, "Open a scene", _SCENES, False)
+        ask_what_to_open("Open a scene", _SCENES, lambda chosen: self._open(chosen[0]))
 
     def ask_where_to_save(self) -> None:
         """Show the save dialog."""
-        im_file_dialog.FileDialog.instance().save(_SAVE, "Save the scene", _SAVED)
+        ask_where_to_save("Save the scene", _SAVED, lambda chosen: self._session.save(chosen[0]))
 
-    def answer(self) -> None:
-        """Act on a dialog that was closed. Once a frame."""
-        dialogs = im_file_dialog.FileDialog.instance()
-        if dialogs.is_done(_OPEN):
-            if dialogs.has_result():
-                chosen = Path(dialogs.get_result().path())
-                self._session.open(str(chosen.parent if chosen.name == "scene.json" else chosen))
-            dialogs.close()
-        if dialogs.is_done(_SAVE):
-            if dialogs.has_result():
-                self._session.save(Path(dialogs.get_result().path()))
-            dialogs.close()
+    def _open(self, chosen: Path) -> None:
+        self._session.open(str(chosen.parent if chosen.name == "scene.json" else chosen))

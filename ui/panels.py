@@ -6,6 +6,8 @@ from typing import Literal
 
 from gsrain_engine.session.session import Session
 
+from .calibration_panel import calibration_panel
+from .disdrometer_panel import disdrometer_panel
 from .jobs_panel import jobs_panel
 from .log_panel import log_panel
 from .rain_panel import rain_panel
@@ -28,7 +30,9 @@ class Panel:
 PANELS = (
     Panel("Rain", "right", rain_panel),
     Panel("Scene", "right", scene_panel),
+    Panel("Calibration", "right", calibration_panel),
     Panel("Read-out", "right bottom", rain_readout_panel),
+    Panel("Disdrometer", "right bottom", disdrometer_panel),
     Panel("Jobs", "right bottom", jobs_panel),
     Panel("Statistics", "right bottom", statistics_panel),
     Panel("Log", "right bottom", log_panel),

@@ -7,22 +7,35 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
+import yaml
 from jaxtyping import Float
 from msgspec import Meta
 
+from gsrain_engine.scene.atomic_files import whole_file
+
 Positive = Annotated[float, Meta(gt=0)]
+Interval = tuple[float, float]
 
 
-class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class RowConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Between which values 95 % of the fits to resampled minutes lie."""
+
+    density_m3: Interval
+    shape: Interval
+    scale_mm: Interval
+
+
+class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """Drops at one intensity: number density and the gamma law of their diameters (paper, table III, eq. 8)."""
 
     intensity_mm_h: Positive
     density_m3: Positive
     shape: Positive
     scale_mm: Positive
+    confidence: RowConfidence | None = None
 
 
-class VelocityFit(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class VelocityFit(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """Fall speed in m/s as a quadratic of the diameter in mm: highest power first (paper, eq. 9)."""
 
     coefficients: tuple[float, float, float]
@@ -35,13 +48,35 @@ class VelocityFit(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return (a * d + b) * d + c
 
 
-class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class SourceFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A file that a calibration was fitted to."""
+
+    name: str
+    sha256: str
+
+
+class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """What a calibration was fitted to, and how."""
+
+    files: tuple[SourceFile, ...]
+    instrument: str
+    first: str | None = None
+    """End of the first record, UTC; none where the file has no times."""
+    last: str | None = None
+    records: int
+    records_used: int
+    method: str
+
+
+class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """What a disdrometer says about rain: a YAML file."""
 
     name: str
     source: str
     rows: Annotated[tuple[CalibrationRow, ...], Meta(min_length=2)]
     velocity: VelocityFit
+    provenance: Provenance | None = None
+    """Where the numbers come from, when they were fitted here."""
 
     def __post_init__(self) -> None:
         intensities = [row.intensity_mm_h for row in self.rows]
@@ -72,6 +107,15 @@ def load_calibration(name: str) -> Calibration:
         return msgspec.yaml.decode(data, type=Calibration)
     except msgspec.MsgspecError as error:
         raise ValueError(f"{where}: {error}") from None
+
+
+def save_calibration(calibration: Calibration, path: Path) -> None:
+    """Write a calibration file, whole or not at all."""
+    with whole_file(path) as beside:
+        text = yaml.safe_dump(
+            msgspec.to_builtins(calibration), sort_keys=False, default_flow_style=None, allow_unicode=True, width=120
+        )
+        beside.write_text(text, encoding="utf-8")
 
 
 def calibration_names() -> list[str]:

@@ -47,6 +47,13 @@ class DropSizes:
         diameter = self.scale_mm * special.gammaincinv(self.shape, low + probability * (high - low))
         return np.clip(diameter, SMALLEST_MM, LARGEST_MM)
 
+    def probability_per_mm(self, diameter_mm: Float64[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
+        """Density of the law in 1/mm, for diameters within its bounds."""
+        low, high = self._limits
+        x = diameter_mm / self.scale_mm
+        density = np.exp((self.shape - 1) * np.log(x) - x - special.gammaln(self.shape))
+        return density / (self.scale_mm * (high - low))
+
     @cached_property
     def class_diameters_mm(self) -> Float64[np.ndarray, " classes"]:
         """Diameter of each class in mm, rising."""

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import platformdirs
 
+from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import OVERCAST, Rainfall
@@ -30,6 +31,7 @@ from .interaction_budget import EXACT, Detail, InteractionBudget
 from .log import LogLines
 from .navigation import Navigation
 from .open_scene import open_to_draw
+from .rain_lab import RainLab
 from .rainy_look import with_gaussians_of
 from .rainy_look_job import RainyLookJob
 
@@ -116,6 +118,7 @@ class Session:
         self.path: CameraPath | None = None
         self.screenshot: Path | None = None
         """Where the live view saves its next picture."""
+        self.lab = RainLab()
         self._files = ThreadPoolExecutor(max_workers=1, thread_name_prefix="files")
         self._opening: tuple[str, Future[Scene]] | None = None
         self._saving: tuple[Path, Future[None]] | None = None
@@ -146,6 +149,34 @@ class Session:
         if rain != self.rain:
             self.history.record(label, self.history.present.with_rain(rain), gesture)
             self._follow_document()
+
+    def use_calibration(self, name: str) -> None:
+        """Let the rain follow another calibration, by name or file; what is wrong with it is kept in `problem`."""
+        try:
+            load_calibration(name)
+        except (ValueError, OSError) as error:
+            self.problem = str(error)
+            logger.error("%s", error)
+        else:
+            self.lab.add_file(name)
+            self.change_rain("Calibration", calibration=name)
+
+    def compare_calibration(self, name: str) -> None:
+        """Show another calibration beside the rain's own; what is wrong with it is kept in `problem`."""
+        try:
+            self.lab.compare_with(name)
+        except (ValueError, OSError) as error:
+            self.problem = str(error)
+            logger.error("%s", error)
+
+    def use_fitted_calibration(self) -> None:
+        """Keep the lab's last fit in a file, and let the rain follow it."""
+        try:
+            path = self.lab.keep_fitted()
+        except OSError as error:
+            self.problem = _told("The calibration can't be saved", error)
+        else:
+            self.use_calibration(path)
 
     def set_scene(self, label: str, scene: Scene, gesture: str | None = None) -> None:
         """Go to a changed version of the scene."""
@@ -212,7 +243,7 @@ class Session:
     def is_working(self) -> bool:
         """Whether anything goes on in the background that a frame should look after."""
         job = self.job is not None and self.job.state == "running"
-        return job or self.busy is not None or self.staged is not None
+        return job or self.busy is not None or self.staged is not None or self.lab.busy is not None
 
     # The job
 
@@ -244,6 +275,7 @@ class Session:
         """Let time go by and take in what background work has finished. Once a frame."""
         self.clock.advance(real_s)
         self._poll_files()
+        self.lab.poll()
         if self.job is not None and self.job.state == "running":
             self.job.poll()
             if self.job.result is not None and not (self.staged is not None and self.staged.is_opened):
@@ -304,6 +336,7 @@ class Session:
         if self._opening is not None:
             self._opening[1].cancel()
         self._files.shutdown()
+        self.lab.close()
         logger.removeHandler(self.log)
 
     def _rainfall_of(self, rain: Rain) -> Rainfall:

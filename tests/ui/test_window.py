@@ -398,3 +398,37 @@ def test_colors_take_fewer_bits_on_the_gpu(tmp_path):
         assert 0 < np.abs(driver.picture() - fine).max() < 8
 
     driver.run(script)
+
+
+def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
+    lab = driver.session.lab
+
+    def script():
+        driver.session.change_rain("Intensity", intensity_mm_h=8.5)
+        driver.ctx.window_focus("//Disdrometer")
+        driver.ctx.set_ref("//Disdrometer")
+        driver.ctx.item_input_value("##seconds", 20.0)
+        driver.ctx.item_click("Measure")
+        driver.until(lambda: lab.counted is not None, 100_000)
+        assert abs(lab.counted.rate_mm_h - 8.5) < 3 * lab.counted.standard_error_mm_h
+        assert lab.counted.seconds.sum() == 20
+        driver.ctx.window_focus("//Calibration")
+        driver.ctx.set_ref("//Calibration")
+        driver.ctx.combo_click("##compared/marshall_palmer")
+        driver.frames()
+        assert lab.beside.name == "marshall_palmer"
+        driver.ctx.combo_click("##calibration/marshall_palmer")
+        driver.frames()
+        assert driver.session.rainfall.calibration.name == "marshall_palmer"
+        assert driver.session.history.undo_label == "Calibration"
+        driver.ctx.item_click("Fit to measurements...")
+        driver.frames(3)
+        testing.capture(driver.ctx, str(driver.folder / "dialog.png"))
+        driver.press(imgui.Key.escape)
+        im_file_dialog.FileDialog.instance().close()
+        driver.frames(3)
+        testing.capture(driver.ctx, str(driver.folder / "closed.png"))
+
+    driver.run(script)
+    shown, closed = (np.asarray(Image.open(driver.folder / f"{name}.png"))[..., :3] for name in ("dialog", "closed"))
+    assert np.abs(shown.astype(int) - closed).mean() > 5

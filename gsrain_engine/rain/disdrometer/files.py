@@ -1,0 +1,55 @@
+"""Any disdrometer file in, one reading out: the format is told by what the file holds, not by its name."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from gsrain_engine.rain.disdrometer.class_mask import is_class_mask
+from gsrain_engine.rain.disdrometer.contents import Contents, read_contents
+from gsrain_engine.rain.disdrometer.minute_tables import is_minute_table, read_minute_table
+from gsrain_engine.rain.disdrometer.netcdf import is_netcdf, read_netcdf
+from gsrain_engine.rain.disdrometer.parsivel_logs import parsivel_log_dialect, read_parsivel_log
+from gsrain_engine.rain.disdrometer.parsivel_telegrams import is_parsivel_telegrams, read_parsivel_telegrams
+from gsrain_engine.rain.disdrometer.rates_only import is_rainsense_intensity, read_rainsense_intensity
+from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError, Reading, SingleDrops
+from gsrain_engine.rain.disdrometer.thies import is_thies, read_thies
+
+__all__ = ["DisdrometerFileError", "Reading", "SingleDrops", "read_disdrometer"]
+
+_TEXTS = (
+    (is_parsivel_telegrams, read_parsivel_telegrams),
+    (is_thies, read_thies),
+    (is_minute_table, read_minute_table),
+    (is_rainsense_intensity, read_rainsense_intensity),
+)
+
+
+def read_disdrometer(path: Path) -> Reading:
+    """Read a disdrometer file: OTT Parsivel, Thies LNM, Joss-Waldvogel, 2DVD, APU, RainSense's intensity; gzip or not.
+
+    Records that can't be used are left out and named in `Reading.skipped`. Raises `DisdrometerFileError` where none is
+    left, or where the file is of no known kind.
+    """
+    contents = read_contents(path)
+    if is_netcdf(contents.data):
+        if contents.cut_off:
+            raise DisdrometerFileError(path, "the gzip stream ends too early: the NetCDF file in it is cut off")
+        return read_netcdf(path, contents.data)
+    if not contents.is_text:
+        raise DisdrometerFileError(path, "neither text nor NetCDF: not a disdrometer file of a kind that is known")
+    reading = _read_text(path, contents)
+    if contents.cut_off:
+        return replace(reading, skipped=(*reading.skipped, "end of file: the gzip stream is cut off"))
+    return reading
+
+
+def _read_text(path: Path, contents: Contents) -> Reading:
+    lines = contents.lines
+    dialect = parsivel_log_dialect(lines)
+    if dialect is not None:
+        return read_parsivel_log(path, lines, dialect)
+    for recognizes, read in _TEXTS:
+        if recognizes(lines):
+            return read(path, lines)
+    if is_class_mask(lines):
+        raise DisdrometerFileError(path, "a mask of diameters and speeds, no measurement: read it with read_class_mask")
+    raise DisdrometerFileError(path, "line 1: not a disdrometer file of a kind that is known")

@@ -1,0 +1,150 @@
+"""OTT Parsivel logs, one record a line: the dialects that stations write."""
+
+import csv
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsrain_engine.rain.disdrometer.instruments import PARSIVEL
+from gsrain_engine.rain.disdrometer.parsivel_classes import CLASSES
+from gsrain_engine.rain.disdrometer.reading import Reading
+from gsrain_engine.rain.disdrometer.records import Record, RecordError, drop_counts, gather, number, rain_rate, utc
+
+_COUNTS = CLASSES * CLASSES
+_LOOK_AHEAD = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """How one kind of log writes its records."""
+
+    marks: re.Pattern[str]
+    """Found in a line that only this kind of log has."""
+    parse: Callable[[str], Record]
+    """Raises `RecordError` where the line can't be used."""
+    header: re.Pattern[str] | None = None
+    """Lines that are no records."""
+
+
+def parsivel_log_dialect(lines: list[str]) -> Dialect | None:
+    """The dialect of a log by its first lines; none where it is not one."""
+    start = [line for line in lines[: 2 * _LOOK_AHEAD] if line.strip()][:_LOOK_AHEAD]
+    found = (dialect for dialect in _DIALECTS if any(dialect.marks.search(line) for line in start))
+    return next(found, None) or _campbell(start)
+
+
+def read_parsivel_log(path: Path, lines: list[str], dialect: Dialect) -> Reading:
+    """Read a log of this dialect; raises `DisdrometerFileError` where no record can be used."""
+    records, skipped = gather(path, _records(lines, dialect), dialect.parse)
+    return PARSIVEL.reading_of(path, records, "velocities first", skipped)
+
+
+def _records(lines: list[str], dialect: Dialect) -> Iterator[tuple[str, str]]:
+    for i, line in enumerate(lines):
+        if line.strip() and not (dialect.header and dialect.header.search(line)):
+            yield f"line {i + 1}", line
+
+
+def parsivel_counts(text: str, separator: str) -> Float64[np.ndarray, " 1024"]:
+    """Counts of one spectrum, with or without a separator at the end."""
+    return drop_counts(text.strip().removesuffix(separator).split(separator), _COUNTS)
+
+
+def _fields(line: str, at_least: int) -> list[str]:
+    try:
+        values = next(csv.reader([line]))
+    except csv.Error as error:
+        raise RecordError(f"the line can't be split into fields ({error})") from None
+    if len(values) < at_least:
+        raise RecordError(f"{len(values)} fields instead of {at_least}: the record is cut off")
+    return values
+
+
+def _locarno(line: str) -> Record:
+    """id, lat, lon, time, logger T, logger V, rate, ..., "32 N(D)", "32 v(D)", "1024 counts"."""
+    values = _fields(line, 23)
+    return Record(
+        time=utc(values[3], "%d-%m-%Y %H:%M:%S"),
+        seconds=float("nan"),
+        reported_mm_h=rain_rate(values[6]),
+        counts=parsivel_counts(values[22], ","),
+    )
+
+
+def _station(line: str) -> Record:
+    """time; rate; ...; interval (6); ...; 32 N(D); 32 v(D); 1024 counts, joined by ; or by /."""
+    values = line.strip().split(";")
+    if not re.match(r"\d{14}", values[0]):
+        raise RecordError("the line doesn't begin with a time: the record is cut off")
+    if len(values) < 83:
+        raise RecordError(f"{len(values)} fields instead of at least 83: the record is cut off")
+    slashed = "/" in values[82]
+    counts = values[82].removesuffix("R").removesuffix("/") if slashed else ";".join(values[82:])
+    return Record(
+        time=utc(values[0], "%Y%m%d%H%M%S", "%Y%m%d%H%M%S.%f"),
+        seconds=interval_s(values[6]),
+        reported_mm_h=rain_rate(values[1]),
+        counts=parsivel_counts(counts, "/" if slashed else ";"),
+    )
+
+
+def interval_s(text: str) -> float:
+    """Length of a record in s; raises `RecordError` where it is not 1 s to an hour."""
+    seconds = number(text, "sample interval")
+    if not 1 <= seconds <= 3600:
+        raise RecordError(f"sample interval is {text} s, not 1 to 3600")
+    return seconds
+
+
+def _tagged(line: str) -> Record:
+    """date; time; rate; ...; <SPECTRUM>counts, none for 0</SPECTRUM>, or ZERO for all."""
+    head, opened, rest = line.partition("<SPECTRUM>")
+    spectrum, closed, _ = rest.partition("</SPECTRUM>")
+    if not opened or not closed:
+        raise RecordError("the spectrum is not whole: the record is cut off")
+    values = head.split(";")
+    if len(values) < 17:
+        raise RecordError(f"{len(values)} fields before the spectrum instead of 17")
+    dry = spectrum.strip() == "ZERO"
+    counts = [value or "0" for value in spectrum.removesuffix(";").split(";")]
+    return Record(
+        time=utc(f"{values[0]} {values[1]}", "%Y/%m/%d %H:%M:%S"),
+        seconds=float("nan"),
+        reported_mm_h=rain_rate(values[2]),
+        counts=np.zeros(_COUNTS) if dry else drop_counts(counts, _COUNTS),
+    )
+
+
+def _campbell(lines: list[str]) -> Dialect | None:
+    """TIMESTAMP, RECORD, then columns as the logger's second line names them; none where they aren't a Parsivel's."""
+    header = next((line for line in lines if line.startswith('"TIMESTAMP"')), "")
+    columns = [name.strip('" ').lower() for name in header.split(",")]
+    rate = next((i for i, name in enumerate(columns) if "intensity" in name and "snow" not in name), None)
+    if rate is None or "spectrum(1)" not in columns:
+        return None
+    first = columns.index("spectrum(1)")
+
+    def record(line: str) -> Record:
+        values = _fields(line, first)
+        return Record(
+            time=utc(values[0], "%Y-%m-%d %H:%M:%S", "%Y-%m-%d %H:%M:%S.%f"),
+            seconds=float("nan"),
+            reported_mm_h=rain_rate(values[rate]),
+            counts=drop_counts(values[first : first + _COUNTS], _COUNTS),
+        )
+
+    return Dialect(_CAMPBELL_HEADER, record, header=_CAMPBELL_HEADER)
+
+
+_CAMPBELL_HEADER = re.compile(r'^"(TOA5|TIMESTAMP|TS|)",')
+
+
+_DIALECTS = (
+    Dialect(re.compile(r'^\d+,[\d.]+,[\d.]+,"\d\d-\d\d-\d{4} \d\d:\d\d:\d\d","'), _locarno),
+    Dialect(re.compile(r"^\d{14}(\.\d+)?;[^;]*;[^;]*;[^;]*;[^;]*;[^;]*;\d+;"), _station),
+    Dialect(re.compile(r"<SPECTRUM>"), _tagged, header=re.compile(r"^Date;")),
+)

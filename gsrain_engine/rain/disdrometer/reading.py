@@ -1,0 +1,44 @@
+"""What a disdrometer file gives: spectra, single drops where the instrument sees them, and what was left out."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Shaped
+
+from gsrain_engine.rain.disdrometer.spectra import DropSpectra
+
+
+class DisdrometerFileError(ValueError):
+    """A file from which no record can be taken, in one sentence: which file, which record, and why."""
+
+    def __init__(self, path: Path, reason: str):
+        super().__init__(f"{path}: {reason}")
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SingleDrops:
+    """Drops seen one by one, in order of time."""
+
+    diameters_mm: Float64[np.ndarray, " drops"]
+    """Diameter of the sphere that holds the drop's water."""
+    speeds_m_s: Float64[np.ndarray, " drops"]
+    """Fall speed, downwards positive."""
+    axis_ratios: Float64[np.ndarray, " drops"]
+    """Height over width; NaN where it wasn't measured."""
+    times: Shaped[np.ndarray, " drops"]
+    """UTC, datetime64[ms]."""
+
+    def __len__(self) -> int:
+        return len(self.diameters_mm)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Reading:
+    """One file, read."""
+
+    spectra: DropSpectra
+    drops: SingleDrops | None = None
+    """Where the instrument sees single drops (2DVD)."""
+    skipped: tuple[str, ...] = ()
+    """One sentence for each record left out: which, and why."""

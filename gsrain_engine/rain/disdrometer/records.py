@@ -1,0 +1,144 @@
+"""Records of a disdrometer's log, one by one: numbers and times from text, and what makes spectra of them."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError
+
+MOST_COUNTS = 2**27
+"""Numbers in all spectra of one file: 1 GiB, or three months of a Parsivel's minutes."""
+
+FACTORY_SECONDS = 60.0
+"""Length of a record where the file neither states nor shows it: what the makers set."""
+
+MOST_DROPS = 1e9
+"""In one class of one record: more is damage, not rain."""
+
+_LONGEST_STEP_S = 3600.0
+
+
+class RecordError(ValueError):
+    """Why a record can't be used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Record:
+    """One spectrum as its file writes it."""
+
+    time: np.datetime64
+    """End of the record, UTC, in milliseconds."""
+    seconds: float
+    """NaN where the file doesn't say."""
+    reported_mm_h: float
+    """NaN where the instrument gives none."""
+    counts: Float64[np.ndarray, " classes"]
+    """In the order of the file."""
+
+
+def gather(
+    path: Path, numbered: Iterable[tuple[str, str]], parse: Callable[[str], Record]
+) -> tuple[list[Record], list[str]]:
+    """Parse each record; those that can't be used become sentences.
+
+    `numbered` says where a record stands ("line 7") and its text. Returns the records in order of time, each with
+    its length. Raises `DisdrometerFileError` where none is left or where they are more than memory allows.
+    """
+    records: list[Record] = []
+    skipped: list[str] = []
+    last: tuple[np.datetime64, str] | None = None
+    size = 0
+    for where, text in numbered:
+        try:
+            record = parse(text)
+            if (record.time, text) == last:
+                raise RecordError(f"the record of {record.time} stands there twice")
+        except RecordError as error:
+            skipped.append(f"{where}: {error}")
+            continue
+        last = (record.time, text)
+        size += len(record.counts)
+        if size > MOST_COUNTS:
+            raise DisdrometerFileError(path, f"{where}: more than {len(records)} spectra: split the file by days")
+        records.append(record)
+    if not records:
+        raise DisdrometerFileError(path, no_record_left(skipped))
+    return _with_seconds(sorted(records, key=lambda record: record.time)), skipped
+
+
+def no_record_left(skipped: Sequence[str]) -> str:
+    """Say why a file gives no record at all: the first reason, and how many more there are."""
+    if not skipped:
+        return "it holds no record"
+    more = f" (and {len(skipped) - 1} more such records)" if len(skipped) > 1 else ""
+    return f"no record can be used: {skipped[0]}{more}"
+
+
+def usual_step_s(times: Sequence[np.datetime64]) -> float:
+    """Usual time from one record to the next in s; `FACTORY_SECONDS` where none shows."""
+    steps = [float((later - earlier) / np.timedelta64(1, "s")) for earlier, later in pairwise(times)]
+    near = [step for step in steps if 0 < step <= _LONGEST_STEP_S]
+    return float(np.median(near)) if near else FACTORY_SECONDS
+
+
+def _with_seconds(records: list[Record]) -> list[Record]:
+    if not any(np.isnan(record.seconds) for record in records):
+        return records
+    step = usual_step_s([record.time for record in records])
+    return [replace(record, seconds=step) if np.isnan(record.seconds) else record for record in records]
+
+
+def drop_counts(values: Sequence[str], expected: int) -> Float64[np.ndarray, " classes"]:
+    """Counts of drops as numbers; raises `RecordError` where one is missing, negative or not a number."""
+    if len(values) != expected:
+        raise RecordError(f"{len(values)} drop counts instead of {expected}: the record is cut off or damaged")
+    try:
+        counts = np.array([float(value) for value in values])
+    except ValueError:
+        wrong = next(i for i, value in enumerate(values) if not _is_number(value))
+        raise RecordError(f"drop count {wrong + 1} is {values[wrong]!r}, not a number") from None
+    bad = np.flatnonzero(~((counts >= 0) & (counts <= MOST_DROPS)))
+    if bad.size:
+        raise RecordError(f"drop count {bad[0] + 1} is {values[bad[0]]}")
+    return counts
+
+
+def rain_rate(text: str) -> float:
+    """Rate in mm/h; NaN where a logger wrote NAN or nothing. Raises `RecordError` where it is no rate."""
+    if text.strip().upper() in ("", "NAN", "NA", "-9.999", "-999", "-9999"):
+        return float("nan")
+    rate = number(text, "rain rate")
+    if not 0 <= rate < float("inf"):
+        raise RecordError(f"rain rate is {text.strip()}")
+    return rate
+
+
+def number(text: str, what: str) -> float:
+    """Number from text; raises `RecordError` that says what isn't one."""
+    try:
+        return float(text)
+    except ValueError:
+        raise RecordError(f"{what} {text.strip()[:40]!r} is not a number") from None
+
+
+def utc(text: str, *formats: str) -> np.datetime64:
+    """Time in UTC from text in the first of these formats that fits; raises `RecordError`."""
+    for pattern in formats:
+        try:
+            return np.datetime64(datetime.strptime(text.strip(), pattern), "ms")
+        except ValueError:
+            continue
+    raise RecordError(f"time {text.strip()[:40]!r} can't be read")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,127 @@
+"""What the rain panels measure, in a thread: the virtual disdrometer, and calibrations fitted to disdrometer files."""
+
+import logging
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+import platformdirs
+
+from gsrain_engine.rain.calibration import calibration_names, load_calibration, save_calibration
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.rainfall import Rainfall
+
+if TYPE_CHECKING:
+    from gsrain_engine.rain.counted_drops import CountedDrops
+    from gsrain_engine.rain.fitting.result import FittedCalibration
+
+logger = logging.getLogger("gsrain")
+
+RECORD_S = 60.0
+"""The virtual disdrometer hands over a spectrum a minute, as real ones do."""
+
+
+@dataclass(slots=True)
+class _Task:
+    label: str
+    result: Future[Any]
+    take: Callable[[Any], None]
+
+
+class RainLab:
+    """One measurement at a time. Call everything on the main thread, and `poll` once a frame."""
+
+    def __init__(self) -> None:
+        self.counted: CountedDrops | None = None
+        """What the virtual disdrometer counted last."""
+        self.fitted: FittedCalibration | None = None
+        """The last fit."""
+        self.area_m2, self.seconds = 0.5, 60.0
+        """Of the next virtual measurement; seconds are simulated ones."""
+        self.compared = "published"
+        """Name or file of the calibration that is shown beside the rain's own."""
+        self.beside = load_calibration(self.compared)
+        """That calibration."""
+        self.files: list[str] = []
+        """Calibration files that were opened or written here."""
+        self.problem: str | None = None
+        """Why the last measurement failed, in one sentence."""
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="rain lab")
+        self._task: _Task | None = None
+
+    @property
+    def calibrations(self) -> list[str]:
+        """Names and files to choose from."""
+        return [*calibration_names(), *self.files]
+
+    @property
+    def busy(self) -> str | None:
+        """What is being measured; None when nothing is."""
+        return None if self._task is None else self._task.label
+
+    def compare_with(self, name: str) -> None:
+        """Show another calibration beside the rain's own. Raises `ValueError`, `OSError`."""
+        self.beside, self.compared = load_calibration(name), name
+
+    def measure(self, rain: Rain) -> None:
+        """Hold a virtual disdrometer into the rain, from time 0 on."""
+        area_m2, seconds = self.area_m2, self.seconds
+
+        def count() -> "CountedDrops":
+            from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
+
+            times = np.append(np.arange(max(1, np.ceil(seconds / RECORD_S))) * RECORD_S, seconds)
+            return VirtualDisdrometer(Rainfall.start(rain), area_m2).measure(times)
+
+        self._begin(f"Counting drops for {seconds:g} s", count, lambda counted: setattr(self, "counted", counted))
+
+    def fit(self, files: Sequence[Path]) -> None:
+        """Fit a calibration to disdrometer files of one instrument."""
+
+        def fitted() -> "FittedCalibration":
+            from gsrain_engine.rain.fitting.calibrate_files import calibrate_files, open_measured
+
+            return calibrate_files([open_measured(path) for path in files], name=files[0].name.partition(".")[0])
+
+        self._begin(f"Fitting {files[0].name}", fitted, lambda result: setattr(self, "fitted", result))
+
+    def keep_fitted(self) -> str:
+        """Write the last fit among the person's own calibrations; returns the file's path. Raises `OSError`."""
+        assert self.fitted is not None, "fit before keeping"
+        folder = platformdirs.user_data_path("gsrain", appauthor=False) / "calibrations"
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / f"{self.fitted.calibration.name}.yaml"
+        save_calibration(self.fitted.calibration, path)
+        self.add_file(str(path))
+        return str(path)
+
+    def add_file(self, path: str) -> None:
+        """List a calibration file among those to choose from."""
+        if path not in self.calibrations:
+            self.files.append(path)
+
+    def poll(self) -> None:
+        """Take in what has been measured."""
+        if self._task is None or not self._task.result.done():
+            return
+        task, self._task = self._task, None
+        try:
+            task.take(task.result.result())
+        except (ValueError, OSError, MemoryError, msgspec.MsgspecError) as error:
+            self.problem = str(error)
+            logger.error("%s: %s", task.label, error)
+        else:
+            logger.info("%s: done", task.label)
+
+    def close(self) -> None:
+        """Wait for what is under way; nothing new begins."""
+        self._thread.shutdown(cancel_futures=True)
+
+    def _begin(self, label: str, work: Callable[[], Any], take: Callable[[Any], None]) -> None:
+        if self._task is None:
+            self.problem = None
+            self._task = _Task(label, self._thread.submit(work), take)

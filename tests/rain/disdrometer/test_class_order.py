@@ -1,0 +1,44 @@
+import numpy as np
+import pytest
+
+from gsrain_engine.rain.disdrometer.class_order import Order, arrange
+from gsrain_engine.rain.disdrometer.parsivel_classes import AREA_M2, DIAMETER_EDGES_MM, VELOCITY_EDGES_M_S
+from parsivel_text import DRY, RAIN_MM_H, rain
+
+
+def arranged(counts: np.ndarray, written: Order, reported_mm_h: float, records: int = 1) -> tuple[np.ndarray, Order]:
+    return arrange(
+        np.tile(counts.ravel().astype(float), (records, 1)),
+        written,
+        diameter_edges_mm=DIAMETER_EDGES_MM,
+        velocity_edges_m_s=VELOCITY_EDGES_M_S,
+        area_m2=AREA_M2,
+        seconds=np.full(records, 60.0),
+        reported_mm_h=np.full(records, reported_mm_h),
+    )
+
+
+@pytest.mark.parametrize("reported", [RAIN_MM_H, 0.0, np.nan])
+@pytest.mark.parametrize("written", ["velocities first", "diameters first"])
+def test_the_order_is_found_whatever_is_expected(reported: float, written: Order):
+    for counts, order in ((rain(), "diameters first"), (rain().T, "velocities first")):
+        spectra, found = arranged(counts, written, reported)
+        np.testing.assert_array_equal(spectra[0], rain())
+        assert found == order
+
+
+@pytest.mark.parametrize("written", ["velocities first", "diameters first"])
+def test_without_many_drops_the_expected_order_stands(written: Order):
+    assert arranged(DRY, written, 0.0)[1] == written
+    for counts in (rain() // 6, rain().T // 6):
+        assert 0 < counts.sum() < 50
+        assert arranged(counts, written, 0.0)[1] == written
+
+
+@pytest.mark.parametrize("factor", [0.25, 4.0, 30.0])
+def test_a_rate_that_fits_neither_order(factor: float):
+    with pytest.raises(ValueError, match="it should be about 1"):
+        arranged(rain(), "diameters first", factor * RAIN_MM_H, records=5)
+    # Four such records are no proof: the drops' speeds decide.
+    for counts, order in ((rain(), "diameters first"), (rain().T, "velocities first")):
+        assert arranged(counts, "diameters first", factor * RAIN_MM_H, records=4)[1] == order

@@ -1,0 +1,36 @@
+"""File dialogs: who asks says what to do with the answer, which comes in a later frame."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from imgui_bundle import im_file_dialog
+
+Answer = Callable[[list[Path]], None]
+
+_waiting: dict[str, Answer] = {}
+"""By the dialogs' titles; there is one window."""
+
+
+def ask_what_to_open(title: str, kinds: str, answer: Answer, *, several: bool = False) -> None:
+    """Show a dialog for files that exist; `kinds` as in "Scenes{.ply,.spz},All files{.*}"."""
+    _waiting[title] = answer
+    im_file_dialog.FileDialog.instance().open(title, title, kinds, several)
+
+
+def ask_where_to_save(title: str, kinds: str, answer: Answer) -> None:
+    """Show a dialog for a file to write."""
+    _waiting[title] = answer
+    im_file_dialog.FileDialog.instance().save(title, title, kinds)
+
+
+def answer_dialogs() -> None:
+    """Act on dialogs that were closed. Once a frame."""
+    dialogs = im_file_dialog.FileDialog.instance()
+    for title in list(_waiting):
+        if not dialogs.is_done(title):
+            continue
+        answer = _waiting.pop(title)
+        chosen = [Path(each.path()) for each in dialogs.get_results()] if dialogs.has_result() else []
+        dialogs.close()
+        if chosen:
+            answer(chosen)
