@@ -1,7 +1,9 @@
 """The Read-out panel: what follows from the intensity."""
 
+import msgspec
 from imgui_bundle import imgui
 
+from gsrain_engine.rain.rain_state import intensity_of
 from gsrain_engine.session.session import Session
 
 from .rain_panel import WARNING
@@ -23,6 +25,11 @@ def rain_readout_panel(session: Session) -> None:
             "Drops per m3",
             f"{state.density_m3:,.0f}",
             f"Number density N; the table says {state.table_density_m3:,.0f}.",
+        ),
+        (
+            "As by the table",
+            _by_number(session),
+            "Intensity at which the calibration's own table has as many drops as are drawn.",
         ),
         ("Gamma shape", f"{state.shape:.3f}", "mu of the gamma law of diameters."),
         ("Gamma scale", f"{state.scale_mm:.4f} mm", "theta of the gamma law of diameters."),
@@ -47,3 +54,11 @@ def rain_readout_panel(session: Session) -> None:
         imgui.text_colored(WARNING, "beyond calibration (13 mm/h)")
     if session.rain.exaggeration:
         imgui.text_colored(WARNING, session.rain.exaggeration)
+
+
+def _by_number(session: Session) -> str:
+    rain = msgspec.structs.replace(session.rain, closure="published")
+    try:
+        return f"{intensity_of(session.rainfall.state.density_m3, rain, session.rainfall.calibration):.2f} mm/h"
+    except ValueError:
+        return "over 100 mm/h"

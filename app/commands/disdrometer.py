@@ -67,11 +67,12 @@ def disdrometer(
             counts.append(instrument.count(start, end))
             advance()
     counted = instrument.collect(times, counts)
-    _print(counted)
     if output is not None:
         write_spectra(output, counted.spectra)
-        print(f"{output}: {len(counts)} spectra")
     write_numbers(json, _numbers(counted))
+    _print(counted)
+    if output is not None:
+        print(f"{output}: {len(counts)} spectra")
 
 
 def _rain(

@@ -3,9 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
+from scipy.optimize import brentq
 
 from .calibration import Calibration, atlas_velocity
 from .drop_sizes import DropSizes
@@ -13,6 +15,9 @@ from .rain import CALIBRATED_UP_TO_MM_H, Rain
 
 EXTINCTION_EFFICIENCY = 2.0
 """Q: a drop much larger than the wavelength removes twice its cross-section from a beam (van de Hulst, 1957)."""
+
+_LEAST_MM_H = 1e-3
+"""Fainter rain has the sizes of this."""
 
 Velocity = Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]]
 
@@ -69,7 +74,7 @@ def rain_state(rain: Rain, calibration: Calibration) -> RainState:
     """Work out the state at an intensity (docs/physics.md, sections 1 and 2)."""
     intensity = rain.intensity_mm_h
     # At R = 0 the sizes stay those of the faintest rain, so that nothing divides by nothing; there are no drops.
-    table_density, sizes = _interpolate_table(calibration, max(intensity, 1e-3))
+    table_density, sizes = _interpolate_table(calibration, max(intensity, _LEAST_MM_H))
     velocity = fall_speed(rain, calibration)
     if intensity == 0:
         table_density = 0.0
@@ -94,6 +99,26 @@ def rain_state(rain: Rain, calibration: Calibration) -> RainState:
         drops=round(density * rain.streak_region.volume_m3),
         haze_gaussians=_haze_gaussians(rain, extinction),
     )
+
+
+def intensity_of(density_m3: float, rain: Rain, calibration: Calibration) -> float:
+    """Intensity in mm/h at which a rain has so many drops a cubic metre, with its closure. 0 for none.
+
+    Raises `ValueError` for more than there are at 100 mm/h.
+    """
+    if density_m3 == 0:
+        return 0.0
+
+    def surplus(log_intensity: float) -> float:
+        state = rain_state(msgspec.structs.replace(rain, intensity_mm_h=float(np.exp(log_intensity))), calibration)
+        return float(np.log(state.density_m3 / density_m3))
+
+    least, most = np.log(_LEAST_MM_H), np.log(100.0)
+    if not density_m3 > 0 or surplus(most) < 0:
+        raise ValueError(
+            f"{density_m3:g} drops per cubic metre: must be within 0 and what {calibration.name} has at 100 mm/h"
+        )
+    return float(np.exp(brentq(surplus, least, most))) if surplus(least) < 0 else _LEAST_MM_H
 
 
 def _haze_gaussians(rain: Rain, extinction_per_m: float) -> int:

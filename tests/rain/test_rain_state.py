@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.rain.calibration import calibration_names, load_calibration
 from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rain_state import fall_speed, flux_mm_h, rain_state
+from gsrain_engine.rain.rain_state import fall_speed, flux_mm_h, intensity_of, rain_state
 
 PUBLISHED = load_calibration("published")
 
@@ -59,6 +59,31 @@ def test_state_is_continuous_in_the_intensity(intensity):
     here, beside = state(intensity_mm_h=intensity), state(intensity_mm_h=intensity * (1 + 1e-6))
     for name in ("density_m3", "shape", "scale_mm", "extinction_per_m"):
         assert getattr(beside, name) == pytest.approx(getattr(here, name), rel=1e-4)
+
+
+@given(st.floats(0.01, 100), st.sampled_from(calibration_names()), st.sampled_from(["density", "published"]))
+@settings(max_examples=60, deadline=None)
+def test_every_calibration_closes_goes_on_smoothly_and_is_found_again_by_its_density(intensity, name, closure):
+    rain, calibration = Rain(intensity_mm_h=intensity, closure=closure), load_calibration(name)
+    here = rain_state(rain, calibration)
+    carried = flux_mm_h(here.density_m3, here.sizes, fall_speed(rain, calibration))
+    assert carried == pytest.approx(intensity if closure == "density" else here.table_implied_mm_h, rel=1e-9)
+    beside = rain_state(msgspec.structs.replace(rain, intensity_mm_h=intensity * (1 - 1e-6)), calibration)
+    for number in ("density_m3", "shape", "scale_mm", "extinction_per_m"):
+        assert getattr(beside, number) == pytest.approx(getattr(here, number), rel=1e-4)
+    assert beside.table_density_m3 < here.table_density_m3
+    found = rain_state(
+        msgspec.structs.replace(rain, intensity_mm_h=intensity_of(here.density_m3, rain, calibration)), calibration
+    )
+    assert found.density_m3 == pytest.approx(here.density_m3, rel=1e-6)
+
+
+def test_more_drops_than_100_mm_h_have_no_intensity():
+    assert intensity_of(0.0, Rain(), PUBLISHED) == 0
+    assert intensity_of(1190, Rain(closure="published"), PUBLISHED) == pytest.approx(8.5)
+    for density in (1e9, -1.0, float("nan")):
+        with pytest.raises(ValueError, match="at 100 mm/h"):
+            intensity_of(density, Rain(), PUBLISHED)
 
 
 def test_no_rain_is_no_rain_at_all():
