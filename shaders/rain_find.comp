@@ -1,6 +1,6 @@
 #version 430
 // Which drops the camera may see: one thread takes 32 drops of a class and gives a bit each. Most fail one test of their
-// place, and cost nothing more.
+// place, and cost nothing more. With ROOFS none under a roof is found.
 
 layout(local_size_x = 256) in;
 
@@ -8,6 +8,20 @@ layout(local_size_x = 256) in;
 
 layout(std430, binding = 2) writeonly buffer Found { uint found_masks[]; };
 layout(std430, binding = 5) writeonly buffer Counts { uint found_counts[]; };
+
+#ifdef ROOFS
+layout(std430, binding = 3) readonly buffer Roofs { float roof_heights[]; };  // m above the centre, row by row
+uniform ivec2 roof_size;      // columns, rows
+uniform vec2 roof_corner;     // of the first, from the centre of the cell along the world's axes (m)
+uniform float roof_edge;      // m
+uniform mat2 cell_to_world;
+
+bool is_sheltered(vec3 p) {
+    ivec2 at = ivec2(floor((cell_to_world * p.xy - roof_corner) / roof_edge));
+    if (any(lessThan(at, ivec2(0))) || any(greaterThanEqual(at, roof_size))) return false;
+    return p.z < roof_heights[at.y * roof_size.x + at.x];
+}
+#endif
 
 uniform uint count;           // drops with numbers below this exist
 uniform uint masks_by_class;
@@ -22,6 +36,9 @@ bool is_seen(uint i, uint c) {
     vec3 q = cell_to_camera * (p - camera_in_cell);
     if (q.z < 0.0 || q.z > drop_classes[c].far) return false;
     float margin = drop_classes[c].margin;
+#ifdef ROOFS
+    if (is_sheltered(p)) return false;
+#endif
     return q.x >= slopes.x * q.z - margin && q.x <= slopes.y * q.z + margin &&
            q.y >= slopes.z * q.z - margin && q.y <= slopes.w * q.z + margin;
 }

@@ -16,6 +16,8 @@ uniform uint masks_by_class;
 uniform float exposure;       // s
 uniform float focal;          // px, of the output image
 uniform float phi, haze_opacity, gain;
+uniform float aperture;       // diameter of the lens opening (m)
+uniform float focus;          // distance that is sharp (m)
 uniform uint max_copies;
 uniform uint most_drops;
 uniform vec3 display_color;
@@ -59,6 +61,15 @@ void main() {
         across_sigma = sqrt(PI / 32.0) * max(diameter, p.z / focal);
         along_sigma = max(spacing, across_sigma);
         direction = seen / max(speed, 1e-9);
+        if (aperture > 0.0) {
+            float blur = 0.25 * aperture * abs(1.0 - p.z / focus);  // standard deviation of the circle of confusion
+            float sine = across / max(speed, 1e-9);
+            float seen_sigma = length(vec2(along_sigma * sine, across_sigma * sqrt(max(1.0 - sine * sine, 0.0))));
+            float blurred_across = length(vec2(across_sigma, blur));
+            opacity *= across_sigma / blurred_across * seen_sigma / length(vec2(seen_sigma, blur));
+            across_sigma = blurred_across;
+            along_sigma = length(vec2(along_sigma, blur));
+        }
     }
     vec3 side = normalize(abs(direction.x) < 0.7 ? cross(direction, vec3(1, 0, 0)) : cross(direction, vec3(0, 1, 0)));
     mat3 axes = mat3(across_sigma * side, across_sigma * cross(direction, side), along_sigma * direction);

@@ -20,6 +20,8 @@ def rain_panel(session: Session) -> None:
     fields.toggle(session, "streaks")
     imgui.same_line()
     fields.toggle(session, "haze")
+    imgui.same_line()
+    fields.toggle(session, "roofs")
     if session.rain.exaggeration:
         imgui.text_colored(WARNING, session.rain.exaggeration)
     if imgui.collapsing_header("Wind and seed"):
@@ -31,6 +33,9 @@ def rain_panel(session: Session) -> None:
     if imgui.collapsing_header("Physics"):
         for name in ("closure", "velocity", "streak_frame", "rain_light", "far_drops", "streak_reset", "haze_reset"):
             fields.choice(session, name)
+    if imgui.collapsing_header("Lens"):
+        fields.slider(session, "aperture_mm", high=10.0)
+        fields.slider(session, "focus_distance_m", logarithmic=True)
     if imgui.collapsing_header("Appearance"):
         for name in ("streak_gain", "haze_gain"):
             fields.slider(session, name, high=10.0)

@@ -1,8 +1,11 @@
 """The Read-out panel: what follows from the intensity."""
 
-import msgspec
+from functools import lru_cache
+
 from imgui_bundle import imgui
 
+from gsrain_engine.rain.calibration import Calibration
+from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rain_state import intensity_of
 from gsrain_engine.session.session import Session
 
@@ -28,7 +31,7 @@ def rain_readout_panel(session: Session) -> None:
         ),
         (
             "As by the table",
-            _by_number(session),
+            _by_number(state.density_m3, session.rainfall.calibration),
             "Intensity at which the calibration's own table has as many drops as are drawn.",
         ),
         ("Gamma shape", f"{state.shape:.3f}", "mu of the gamma law of diameters."),
@@ -56,9 +59,9 @@ def rain_readout_panel(session: Session) -> None:
         imgui.text_colored(WARNING, session.rain.exaggeration)
 
 
-def _by_number(session: Session) -> str:
-    rain = msgspec.structs.replace(session.rain, closure="published")
+@lru_cache(maxsize=4)
+def _by_number(density_m3: float, calibration: Calibration) -> str:
     try:
-        return f"{intensity_of(session.rainfall.state.density_m3, rain, session.rainfall.calibration):.2f} mm/h"
+        return f"{intensity_of(density_m3, Rain(closure='published'), calibration):.2f} mm/h"
     except ValueError:
         return "over 100 mm/h"

@@ -7,6 +7,7 @@ from jaxtyping import Float32, Float64, UInt32
 
 from .rain import Rain
 from .random_bits import pcg4d
+from .roofs import Roofs
 
 LIFETIME_S, FADE_S = 4.0, 1.0
 """A haze Gaussian comes, stays and goes within 4 s; smoothstep fades of 1 s at both ends."""
@@ -24,6 +25,11 @@ class Haze:
 
     means: Float32[np.ndarray, "n 3"]
     opacities: Float32[np.ndarray, " n"]
+
+    def outside(self, roofs: Roofs) -> "Haze":
+        """Leave out what has its centre under a roof."""
+        kept = ~roofs.shelter(self.means.astype(np.float64))
+        return Haze(self.means[kept], self.opacities[kept])
 
 
 def make_haze(

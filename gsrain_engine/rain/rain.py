@@ -70,6 +70,9 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     streaks: Annotated[bool, Meta(title="Streaks", description="Draw near drops as streaks.")] = True
     haze: Annotated[bool, Meta(title="Haze", description="Draw far drops as haze.")] = True
+    roofs: Annotated[
+        bool, Meta(title="Roofs", description="Keep rain from under bridges, canopies and trees; looks for them once.")
+    ] = False
     streak_region: Annotated[Box, Meta(title="Streak region", description="Where drops are simulated one by one.")] = (
         STREAK_REGION
     )
@@ -154,6 +157,26 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     streak_gain: Annotated[
         float, Meta(ge=0, le=50, title="Streak gain", description="Multiplies the streaks' opacity; 1 is physical.")
     ] = 1.0
+    aperture_mm: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=50,
+            title="Aperture",
+            description="Diameter of the lens opening; drops out of focus blur with it. 0 is a pinhole: all sharp.",
+            extra={"unit": "mm"},
+        ),
+    ] = 0.0
+    focus_distance_m: Annotated[
+        float,
+        Meta(
+            ge=0.2,
+            le=10_000,
+            title="Focus distance",
+            description="Where the lens is focused. Matters with an aperture above 0.",
+            extra={"unit": "m"},
+        ),
+    ] = 10.0
     drop_color: Annotated[
         tuple[float, float, float] | None,
         Meta(title="Drop colour", description="Display colour of a drop; none takes the mean of the scene's sky."),

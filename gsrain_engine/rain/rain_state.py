@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from .calibration import Calibration, atlas_velocity
 from .drop_sizes import DropSizes
@@ -113,12 +113,12 @@ def intensity_of(density_m3: float, rain: Rain, calibration: Calibration) -> flo
         state = rain_state(msgspec.structs.replace(rain, intensity_mm_h=float(np.exp(log_intensity))), calibration)
         return float(np.log(state.density_m3 / density_m3))
 
-    least, most = np.log(_LEAST_MM_H), np.log(100.0)
+    least, most = float(np.log(_LEAST_MM_H)), float(np.log(100.0))
     if not density_m3 > 0 or surplus(most) < 0:
-        raise ValueError(
-            f"{density_m3:g} drops per cubic metre: must be within 0 and what {calibration.name} has at 100 mm/h"
-        )
-    return float(np.exp(brentq(surplus, least, most))) if surplus(least) < 0 else _LEAST_MM_H
+        raise ValueError(f"{density_m3:g} drops per m3: must be within 0 and what {calibration.name} has at 100 mm/h")
+    if surplus(least) >= 0:
+        return _LEAST_MM_H
+    return float(np.exp(root_scalar(surplus, bracket=(least, most), method="brentq").root))
 
 
 def _haze_gaussians(rain: Rain, extinction_per_m: float) -> int:

@@ -12,11 +12,12 @@ from .calibration import Calibration, load_calibration
 from .drop_field import Culling, offsets_of
 from .drop_motion import DropMotion, Wind
 from .falling_rain import FallingRain
-from .haze import make_haze
+from .haze import Haze, make_haze
 from .rain import Rain
 from .rain_state import RainState, fall_speed, rain_state
+from .roofs import Roofs
 from .streak_field import StreakField
-from .streaks import STREAK_REACH, Shutter, visible_distance_m
+from .streaks import STREAK_REACH, Shutter, circle_of_confusion_m, visible_distance_m
 
 OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)
 """Display colour of drops where a scene shows no sky to take it from."""
@@ -33,6 +34,8 @@ class View:
     """Of the camera."""
     focal_px: float | None = None
     """Focal length of the output image; none takes the camera's own."""
+    roofs: Roofs | None = None
+    """Where rain does not reach; none is open everywhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +73,9 @@ class Rainfall:
         if self.state.intensity_mm_h == 0:
             return None
         color = np.array(rain.drop_color or sky)
-        here, anchor = view.camera.position, view.anchor_to_world
         return FallingRain(
             streak_field=self.streak_field(time_s, view) if rain.streaks else None,
-            haze=make_haze(rain, self.state.haze_gaussians, time_s, anchor, here) if rain.haze else None,
+            haze=self._haze(time_s, view) if rain.haze else None,
             haze_sigma_m=rain.haze_sigma_m,
             color=color,
             light_linear=srgb_to_linear(color).astype(np.float32),
@@ -87,6 +89,18 @@ class Rainfall:
     def exposure_s(self, view: View) -> float:
         """Shutter time: the rain's own, else the camera's."""
         return self.rain.exposure_s if self.rain.exposure_s is not None else view.camera.exposure_s
+
+    def _haze(self, time_s: float, view: View) -> Haze:
+        count, anchor = self.state.haze_gaussians, view.anchor_to_world
+        haze = make_haze(self.rain, count, time_s, anchor, view.camera.position)
+        return haze if view.roofs is None else haze.outside(view.roofs)
+
+    def _blur_reach(self, far_m: Float64[np.ndarray, " classes"], farthest_m: float) -> Float64[np.ndarray, " classes"]:
+        """How far defocus spreads drops up to a distance: five standard deviations of the largest circle."""
+        if self.rain.aperture_mm == 0:
+            return np.zeros(len(far_m))
+        at_ends = [circle_of_confusion_m(depth, self.rain) for depth in (0 * far_m, np.minimum(far_m, farthest_m))]
+        return 5 / 4 * np.maximum(*at_ends)
 
     def _focal(self, view: View) -> float:
         return view.focal_px or float(np.sqrt(view.camera.fx * view.camera.fy))
@@ -120,13 +134,14 @@ class Rainfall:
         wind, fall = self.motion.wind.velocity(time_s), self.motion.fall_speed_m_s
         eye = view.velocity_m_s if self.rain.streak_frame == "camera" else np.zeros(3)
         speeds = np.sqrt(float(np.sum((wind - eye[:2]) ** 2)) + (fall + eye[2]) ** 2)
+        farthest = float(np.linalg.norm(camera.position - center) + np.linalg.norm(size) / 2)
         culling = Culling(
             region_rotation=np.ascontiguousarray(turn[:2, :2].T @ axes[:2, :2]),
             region_half=size / 2,
             camera_position=axes.T @ (camera.position - center),
             cell_to_camera=np.ascontiguousarray(camera.world_to_camera[:3, :3] @ axes),
             slopes=slopes,
-            class_margin_m=STREAK_REACH * self.exposure_s(view) * speeds + 0.02,
+            class_margin_m=STREAK_REACH * self.exposure_s(view) * speeds + 0.02 + self._blur_reach(far, farthest),
             class_far_m=far,
         )
         return StreakField(
@@ -141,7 +156,17 @@ class Rainfall:
             wind_m_s=wind,
             fall_speed_m_s=fall,
             shutter=Shutter(camera, view.velocity_m_s, self.exposure_s(view), self._focal(view)),
+            roofs=_roofs_over(view.roofs, center, period),
         )
+
+
+def _roofs_over(
+    roofs: Roofs | None, center_m: Float64[np.ndarray, "3"], size_m: Float64[np.ndarray, "3"]
+) -> Roofs | None:
+    """Roofs over a box at any heading."""
+    if roofs is None:
+        return None
+    return roofs.around(float(center_m[0]), float(center_m[1]), float(np.hypot(size_m[0], size_m[1])) / 2)
 
 
 def _wind(rain: Rain) -> Wind:

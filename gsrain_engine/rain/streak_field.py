@@ -7,6 +7,7 @@ from jaxtyping import Float64, Int64
 
 from .drop_field import Culling, Drops, Offsets, count_in_region, find_drops
 from .rain import Rain
+from .roofs import Roofs
 from .streaks import Shutter, Streaks
 from .visible_streaks import make_visible_streaks
 
@@ -31,20 +32,31 @@ class StreakField:
     """Along world x and y."""
     fall_speed_m_s: Float64[np.ndarray, " classes"]
     shutter: Shutter
+    roofs: Roofs | None = None
+    """Those over the cell; none where it is in the open."""
 
     def drops(self) -> Drops:
         """Drops that the camera may see."""
-        return find_drops(self.count, self.rain.seed, self.where, self.period_m, self.culling)
+        found = find_drops(self.count, self.rain.seed, self.where, self.period_m, self.culling)
+        if self.roofs is None:
+            return found
+        kept = ~self.roofs.shelter(self.positions(found))
+        return Drops(found.numbers[kept], found.class_index[kept], found.fractions[kept])
 
     def drops_in_region(self) -> int:
-        """Count the drops in the streak region, seen or not."""
+        """Count the drops in the streak region, seen or not, under roofs too."""
         return count_in_region(self.count, self.rain.seed, self.where, self.period_m, self.culling)
+
+    def positions(self, drops: Drops) -> Float64[np.ndarray, "m 3"]:
+        """Positions in the world."""
+        return drops.positions(self.period_m) @ self.axes.T + self.center_m
 
     def streaks(self, drops: Drops) -> Streaks:
         """Turn drops into streak Gaussians in the world."""
-        positions = drops.positions(self.period_m) @ self.axes.T + self.center_m
         c = drops.class_index
-        return make_visible_streaks(positions, self.diameters_mm[c], self.velocities(c), self.shutter, self.rain)
+        return make_visible_streaks(
+            self.positions(drops), self.diameters_mm[c], self.velocities(c), self.shutter, self.rain
+        )
 
     def velocities(self, class_index: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 3"]:
         """World velocities of drops of some classes in m/s."""

@@ -48,6 +48,14 @@ def visible_distance_m(diameter_mm: Float64[np.ndarray, " n"], focal_px: float) 
     return focal_px * diameter_mm * 1e-3
 
 
+def circle_of_confusion_m(depth_m: Float64[np.ndarray, " n"], rain: Rain) -> Float64[np.ndarray, " n"]:
+    """Diameter at the drop of what a thin lens spreads a point over: A |1 - d / d_focus|.
+
+    In the image it is c = f A |1/d - 1/d_focus| px, with f in px and A the aperture's diameter in metres.
+    """
+    return 1e-3 * rain.aperture_mm * np.abs(1 - depth_m / rain.focus_distance_m)
+
+
 def make_streaks(
     positions_m: Float64[np.ndarray, "m 3"],
     diameters_mm: Float64[np.ndarray, " m"],
@@ -58,7 +66,8 @@ def make_streaks(
     """Turn drops into one to n_max Gaussians each, along the path the drop takes through the picture.
 
     Opacity: eq. 5 with the speed across the line of sight, times eq. 7's attenuation with distance. Copies: eq. 10-12.
-    The integral of alpha over the image is the drop's own cross-section, pi D^2 / 4 (f / d)^2, near and far.
+    The integral of alpha over the image is the drop's own cross-section, pi D^2 / 4 (f / d)^2, near and far, in focus
+    and out of it: the circle of confusion adds a sixteenth of its diameter's square to the variances, as a disc has.
     """
     diameters_m = diameters_mm * 1e-3
     seen = velocities_m_s - shutter.velocity_m_s if rain.streak_frame == "camera" else velocities_m_s
@@ -80,6 +89,12 @@ def make_streaks(
     along_sigma = np.maximum(length / copies, across_sigma)
     # Copies overlap: their opacities would add up to sqrt(2 pi) alpha.
     opacity = 1 - (1 - alpha) ** (1 / np.sqrt(2 * np.pi))
+
+    blur = circle_of_confusion_m(depth, rain) / 4
+    sine = across / np.maximum(speed, 1e-9)
+    seen_sigma = np.hypot(along_sigma * sine, across_sigma * np.sqrt(np.maximum(1 - sine**2, 0)))  # foreshortened
+    opacity = opacity * across_sigma / np.hypot(across_sigma, blur) * seen_sigma / np.hypot(seen_sigma, blur)
+    across_sigma, along_sigma = np.hypot(across_sigma, blur), np.hypot(along_sigma, blur)
 
     owner, place = _copies(copies)
     direction = seen / np.maximum(speed, 1e-9)[:, None]

@@ -28,8 +28,11 @@ def make_visible_streaks(
     edges = np.concatenate([edges, [camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy]])
     moving = rain.streak_frame == "camera"
     numbers = np.array(
-        [shutter.exposure_s, shutter.focal_px, rain.critical_haze_coefficient, rain.haze_opacity, rain.streak_gain]
-    )
+        [
+            shutter.exposure_s, shutter.focal_px, rain.critical_haze_coefficient, rain.haze_opacity, rain.streak_gain,
+            1e-3 * rain.aperture_mm, rain.focus_distance_m,
+        ]
+    )  # fmt: skip
     _fill(
         positions_m, diameters_mm, velocities_m_s, shutter.velocity_m_s if moving else np.zeros(3),
         np.ascontiguousarray(camera.world_to_camera), camera.position, edges, numbers, most, rows, kept,
@@ -42,7 +45,7 @@ def make_visible_streaks(
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _fill(positions, diameters, velocities, camera_velocity, world_to_camera, eye, edges, numbers, most, rows, kept):
-    exposure, focal, phi, haze_opacity, gain = numbers
+    exposure, focal, phi, haze_opacity, gain, aperture, focus = numbers
     chunk_size = 256
     for chunk in numba.prange((len(positions) + chunk_size - 1) // chunk_size):
         for m in range(chunk * chunk_size, min(len(positions), (chunk + 1) * chunk_size)):
@@ -71,6 +74,12 @@ def _fill(positions, diameters, velocities, camera_velocity, world_to_camera, ey
             copies = int(min(max(np.rint(length / (ratio * diameter)), 1), most))
             across_sigma = np.sqrt(np.pi / 32) * max(diameter, depth / focal)
             along_sigma = max(length / copies, across_sigma)
+            if aperture > 0:
+                blur = aperture * abs(1 - depth / focus) / 4
+                sine = across / max(speed, 1e-9)
+                seen_sigma = np.hypot(along_sigma * sine, across_sigma * np.sqrt(max(1 - sine * sine, 0.0)))
+                opacity *= across_sigma / np.hypot(across_sigma, blur) * seen_sigma / np.hypot(seen_sigma, blur)
+                across_sigma, along_sigma = np.hypot(across_sigma, blur), np.hypot(along_sigma, blur)
             reach = _REACH * along_sigma
             # Half-way quaternion from +z; the sign of a streak's axis is free, so never turn by over 90 degrees.
             scale = 1 / max(speed, 1e-9)

@@ -6,6 +6,7 @@ from jaxtyping import Float64, UInt32
 
 from gsrain_engine.rain.drop_field import FIRST_OF_CLASS
 from gsrain_engine.rain.drop_sizes import CLASSES
+from gsrain_engine.rain.roofs import Roofs
 from gsrain_engine.rain.streak_field import StreakField
 
 from .growing_buffer import GrowingBuffer
@@ -13,7 +14,10 @@ from .shaders import load_compute_shader
 from .splat_store import NEAR_M, SLOTS_BY_BLOCK, SplatStore
 from .visible_scan import COUNT_OFFSET, GROUPS_OFFSET, WORK_BYTES, VisibleScan
 
-_CLASS_ROWS, _FOUND, _PLACES, _COUNTS, _FOUND_WORK = 1, 2, 3, 5, 6
+_CLASS_ROWS, _FOUND, _PLACES, _ROOFS, _COUNTS, _FOUND_WORK = 1, 2, 3, 3, 5, 6
+
+_IN_THE_OPEN = np.float32(-1e9)
+"""What stands for a roof at -inf, which shaders need not know."""
 
 
 class DropPass:
@@ -21,12 +25,13 @@ class DropPass:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._find = load_compute_shader(context, "rain_find.comp")
+        self._find: dict[bool, moderngl.ComputeShader] = {False: load_compute_shader(context, "rain_find.comp")}
         self._streaks: dict[tuple[int, ...], moderngl.ComputeShader] = {}
         self._scan = VisibleScan(context)
         self._classes = GrowingBuffer(context)
         self._found = GrowingBuffer(context)
         self._counts = GrowingBuffer(context)
+        self._roofs = GrowingBuffer(context)
         self._masks_by_class = 1
         self.work = context.buffer(np.zeros(WORK_BYTES // 4, np.uint32))
         """How many drops were found; see `visible_scan`."""
@@ -38,13 +43,15 @@ class DropPass:
         self._classes.reserve(4 * 12 * CLASSES).write(class_rows(field))
         self._found.reserve(4 * masks)
         self._counts.reserve(4 * masks)
-        shader, culling = self._find, field.culling
+        shader, culling = self._finder(field.roofs is not None), field.culling
         self._set_field(shader, field)
         shader["count"] = field.count
         shader["cell_to_region"] = _columns(culling.region_rotation)
         shader["region_half"] = tuple(culling.region_half)
         shader["slopes"] = tuple(culling.slopes)
         self._bind(_COUNTS)
+        if field.roofs is not None:
+            self._set_roofs(shader, field, field.roofs)
         shader.run(masks // 256)
         self._context.memory_barrier()
         self._scan.run(self._counts.buffer, self.work, masks, by_group=SLOTS_BY_BLOCK, most=field.most_drops)
@@ -62,6 +69,8 @@ class DropPass:
             "phi": wishes.critical_haze_coefficient,
             "haze_opacity": wishes.haze_opacity,
             "gain": wishes.streak_gain,
+            "aperture": 1e-3 * wishes.aperture_mm,
+            "focus": wishes.focus_distance_m,
             "max_copies": wishes.max_copies,
             "most_drops": field.most_drops,
             "display_color": tuple(display_color),
@@ -97,6 +106,21 @@ class DropPass:
         shader["period"] = tuple(field.period_m)
         shader["camera_in_cell"] = tuple(field.culling.camera_position)
         shader["cell_to_camera"] = _columns(field.culling.cell_to_camera)
+
+    def _set_roofs(self, shader: moderngl.ComputeShader, field: StreakField, roofs: Roofs) -> None:
+        heights = np.maximum(roofs.heights_m - np.float32(field.center_m[2]), _IN_THE_OPEN)
+        self._roofs.reserve(heights.nbytes).write(heights)
+        self._roofs.bind(_ROOFS)
+        rows, columns = heights.shape
+        shader["roof_size"] = (columns, rows)
+        shader["roof_corner"] = tuple(np.array(roofs.corner_m) - field.center_m[:2])
+        shader["roof_edge"] = roofs.cell_m
+        shader["cell_to_world"] = _columns(field.axes[:2, :2])
+
+    def _finder(self, with_roofs: bool) -> moderngl.ComputeShader:
+        if with_roofs not in self._find:
+            self._find[with_roofs] = load_compute_shader(self._context, "rain_find.comp", {"ROOFS": 1})
+        return self._find[with_roofs]
 
     def _bind(self, counts_binding: int) -> None:
         self._classes.bind(_CLASS_ROWS)

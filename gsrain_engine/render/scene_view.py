@@ -7,6 +7,7 @@ from jaxtyping import Float64
 
 from gsrain_engine.rain.falling_rain import FallingRain
 from gsrain_engine.rain.rainfall import Rainfall, View
+from gsrain_engine.rain.roofs import roofs_of
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Scene
 
@@ -56,9 +57,10 @@ def rain_in(scene: Scene, rainfall: Rainfall, sky: Color, shot: Shot) -> Falling
 
 
 def rain_view(scene: Scene, rainfall: Rainfall, shot: Shot) -> View:
-    """How the rain sees a shot: from where, how fast, and around what its regions stand."""
+    """How the rain sees a shot: from where, how fast, around what its regions stand, and under which roofs."""
     velocity = shot.velocity_m_s if shot.velocity_m_s is not None else np.zeros(3)
-    return View(shot.camera, rain_anchor(scene, rainfall, shot), velocity, shot.focal_px)
+    roofs = roofs_of(scene) if rainfall.rain.roofs else None
+    return View(shot.camera, rain_anchor(scene, rainfall, shot), velocity, shot.focal_px, roofs)
 
 
 def rain_anchor(scene: Scene, rainfall: Rainfall, shot: Shot) -> Float64[np.ndarray, "4 4"]:

@@ -2,10 +2,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.streaks import Shutter, axis_ratio, make_streaks
+from gsrain_engine.rain.streaks import Shutter, axis_ratio, circle_of_confusion_m, make_streaks
+from gsrain_engine.rain.visible_streaks import make_visible_streaks
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.rotations import matrices_from_quaternions
 
@@ -84,3 +86,44 @@ def test_opacity_falls_beyond_the_visible_distance():
 def test_small_drops_are_spheres_and_large_ones_flat():
     assert axis_ratio(np.array([0.3, 0.9, 1.0])) == pytest.approx([1, 1, 1])
     assert axis_ratio(np.array([2.0, 4.0])) == pytest.approx([0.93, 0.79])
+
+
+@pytest.mark.parametrize(
+    "fields", [{}, {"streak_frame": "world"}, {"far_drops": "published"}, {"aperture_mm": 6.0}, {"streak_gain": 30.0}]
+)
+def test_the_compiled_form_makes_the_same_streaks_and_leaves_out_what_is_not_seen(fields):
+    random = np.random.default_rng(11)
+    positions = random.uniform((-0.5, -2, -2), (4, 2, 2), (3000, 3))
+    diameters = random.uniform(0.1, 4, 3000)
+    velocities = np.stack([random.normal(size=3000), random.normal(size=3000), -PUBLISHED.velocity(diameters)], axis=1)
+    given = (positions, diameters, velocities, shutter(velocity=(8.0, 1.0, 0.0)), Rain(**fields))
+    plain, compiled = make_streaks(*given), make_visible_streaks(*given)
+    away, rows = cKDTree(plain.means).query(compiled.means)
+    assert away.max() < 1e-5
+    assert np.all(np.diff(rows) > 0) and 0 < len(rows) < 0.5 * len(plain.means)
+    for name in ("means", "scales", "quaternions", "opacities"):
+        ours, theirs = getattr(compiled, name), getattr(plain, name)[rows]
+        np.testing.assert_allclose(ours, theirs, rtol=2e-5, atol=2e-6, err_msg=name)
+    in_view = np.all(abs(plain.means[:, 1:]) < np.array([0.48, 0.32]) * plain.means[:, :1], axis=1)
+    assert set(np.flatnonzero(in_view)) <= set(rows)
+
+
+def test_a_pinhole_and_drops_in_focus_are_sharp():
+    """c = f A |1/d - 1/d_focus| px, here 6 mm at half the focus distance: 3 mm at the drop."""
+    sharp, focused = streak(2.0, 1.0), streak(2.0, 1.0, aperture_mm=6.0, focus_distance_m=2.0)
+    for name in ("means", "scales", "opacities"):
+        assert np.array_equal(getattr(sharp, name), getattr(focused, name))
+    circle = circle_of_confusion_m(np.array([1.0, 2.0, 4.0]), Rain(aperture_mm=6.0, focus_distance_m=2.0))
+    assert circle == pytest.approx([3e-3, 0, 6e-3])
+
+
+@pytest.mark.parametrize("velocity", [(0.0, 0, 0), (0.0, 9.0, 0), (7.0, 0.5, 2.0)])
+def test_defocus_keeps_the_integral(velocity):
+    """Of each copy, over the image, with foreshortening: blur widens and fades."""
+    sharp = streak(0.5, 2.0, velocity=velocity)
+    blurred = streak(0.5, 2.0, velocity=velocity, aperture_mm=5.0, focus_distance_m=4.0)
+    assert np.allclose(blurred.scales**2 - sharp.scales**2, (5e-3 * 0.875 / 4) ** 2, rtol=1e-3)
+    axes = [matrices_from_quaternions(s.quaternions.astype(float)) * s.scales[:, None] for s in (sharp, blurred)]
+    areas = [np.sqrt(np.linalg.det((a @ a.transpose(0, 2, 1))[:, 1:, 1:])) for a in axes]
+    assert areas[1] * blurred.opacities == pytest.approx(areas[0] * sharp.opacities, rel=1e-4)
+    assert blurred.opacities.max() < 0.7 * sharp.opacities.min()

@@ -1,5 +1,6 @@
 """Drops on the GPU: the same places to the bit, the same drops, the same picture as from the compiled kernels."""
 
+from dataclasses import replace
 from importlib import resources
 
 import msgspec
@@ -11,6 +12,7 @@ from gsrain_engine.rain.drop_sizes import CLASSES
 from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.rain.rainfall import Rainfall, View
+from gsrain_engine.rain.roofs import Roofs
 from gsrain_engine.render.drop_pass import DropPass, class_rows
 from gsrain_engine.render.splat_renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera, look_at
@@ -21,13 +23,25 @@ ANCHOR = np.eye(4)
 ANCHOR[:3, 3] = EYE
 
 
-def falling(time_s=12.3, velocity=(9.0, 1.0, 0.0), **changes):
+def falling(time_s=12.3, velocity=(9.0, 1.0, 0.0), travelled=(0.0, 0.0, 0.0), **changes):
     rain = msgspec.structs.replace(load_preset("8.5"), wind_m_s=(2.0, -1.0), seed=3, **changes)
-    return Rainfall.start(rain).at(time_s, View(CAMERA, ANCHOR, np.array(velocity)))
+    anchor = ANCHOR.copy()
+    anchor[:3, 3] += travelled
+    return Rainfall.start(rain).at(time_s, View(CAMERA, anchor, np.array(velocity)))
 
 
-def test_every_drop_is_at_the_same_place_to_the_bit(context):
-    field = falling().streak_field
+@pytest.mark.parametrize(
+    ("time_s", "travelled", "changes"),
+    [
+        (12.3, (0.0, 0.0, 0.0), {}),
+        (10_000.0, (8_000.0, -6_000.0, 120.0), {"gust_m_s": 5.0}),
+        (9_876.543, (-10_000.0, 0.3, -80.0), {"intensity_mm_h": 50.0}),
+        (10_000.0, (6_000.0, 8_000.0, 0.0), {"streak_reset": "paper"}),
+    ],
+)
+def test_every_drop_is_at_the_same_place_to_the_bit(context, time_s, travelled, changes):
+    """From the first seconds to 10,000 s, and 10 km down the road."""
+    field = falling(time_s, travelled=travelled, **changes).streak_field
     body = resources.files("shaders").joinpath("common_drop_field.glsl").read_text()
     shader = context.compute_shader(f"""#version 430
         layout(local_size_x = 256) in;
@@ -65,7 +79,7 @@ def test_finds_the_drops_that_the_compiled_search_finds(context, changes):
     "changes",
     [
         {}, {"exposure_s": 0.05}, {"rain_light": "display"}, {"streak_frame": "world"}, {"far_drops": "published"},
-        {"streak_reset": "paper"}, {"max_copies": 1}, {"streak_gain": 20.0},
+        {"streak_reset": "paper"}, {"max_copies": 1}, {"streak_gain": 20.0}, {"aperture_mm": 8.0},
     ],
 )  # fmt: skip
 def test_draws_what_the_compiled_kernels_make(context, changes):
@@ -90,3 +104,21 @@ def test_rain_comes_and_goes_in_one_renderer(context):
         again = SplatRenderer(context)
         again.draw([], CAMERA, rain)
         assert renderer.read().rgba.tobytes() == again.read().rgba.tobytes()
+
+
+@pytest.mark.parametrize("changes", [{}, {"streak_reset": "paper"}])
+def test_roofs_keep_out_the_same_drops_on_the_gpu(context, changes):
+    heights = np.where(np.add.outer(np.arange(30), np.arange(30)) % 7 < 4, 1.7, -np.inf).astype(np.float32)
+    roofs = Roofs(heights, (EYE[0] - 7.6, EYE[1] - 7.3))
+    turned = ANCHOR.copy()
+    turned[:2, :2] = [[0.8, -0.6], [0.6, 0.8]]
+    rain = msgspec.structs.replace(load_preset("8.5"), seed=3, **changes)
+    view = View(CAMERA, turned, np.zeros(3), focal_px=1500.0)
+    drops, fields = DropPass(context), []
+    for each in (view, replace(view, roofs=roofs), view):
+        fields.append(Rainfall.start(rain).at(12.3, each).streak_field)
+        drops.find(fields[-1])
+        expected, found = set(fields[-1].drops().numbers.tolist()), drops.found().tolist()
+        assert len(expected ^ set(found)) <= 0.002 * len(expected)
+    everywhere, kept = (len(field.drops().numbers) for field in fields[:2])
+    assert 0.2 * everywhere < kept < 0.9 * everywhere

@@ -1,0 +1,211 @@
+"""What rain does to light, measured in float pictures of the CPU renderer (docs/physics.md, sections 2, 4 and 6)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.rain_gaussians import RainGaussians
+from gsrain_engine.rain.rainfall import Rainfall, View
+from gsrain_engine.rain.streaks import Shutter
+from gsrain_engine.rain.visible_streaks import make_visible_streaks
+from gsrain_engine.raster.cpu_renderer import CpuRenderer
+from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
+from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
+
+FOCAL = 1000.0
+UP, AHEAD = np.array([0.0, 0, 1]), np.array([1.0, 0, 0])
+PUBLISHED = load_calibration("published")
+PHASES = np.random.default_rng(7).random((20, 2))
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    return CpuRenderer()
+
+
+def eye_at(position, width, height, focal):
+    pose = look_at(np.array(position), np.array(position) + AHEAD, UP)
+    return Camera(width, height, focal, focal, width / 2, height / 2, pose)
+
+
+def wall(distance_m, grey):
+    """An opaque plane across the view, flat along x."""
+    f = np.float32
+    return Part(
+        Gaussians(
+            np.array([[distance_m, 0, 0]], f),
+            np.array([[1e-3, 1e4, 1e4]], f),
+            np.array([[1, 0, 0, 0]], f),
+            np.array([1], f),
+            sh_from_color(np.full((1, 3), grey, f)),
+        ),
+        np.eye(4),
+    )
+
+
+def fall_speed(diameter_mm):
+    return float(PUBLISHED.velocity(np.array([diameter_mm]))[0])
+
+
+def streak_picture(renderer, diameter_mm, distance_m, exposure_s, phase=(0.0, 0.0), parts=(), grey=0.8, **fields):
+    """Float picture (h, w, 4) of one drop straight ahead that falls, moved by a part of a pixel."""
+    length_px = fall_speed(diameter_mm) * exposure_s * FOCAL / distance_m
+    camera = eye_at((0.0, 0, 0), 48, int(3 * length_px) + 48, FOCAL)
+    at = np.array([[distance_m, phase[0] * distance_m / FOCAL, phase[1] * distance_m / FOCAL]])
+    velocity = np.array([[0.0, 0, -fall_speed(diameter_mm)]])
+    rain = Rain(**fields)
+    made = make_visible_streaks(
+        at, np.array([diameter_mm]), velocity, Shutter(camera, np.zeros(3), exposure_s, FOCAL), rain
+    )
+    color = np.full((len(made.means), 3), grey, np.float32)
+    drops = Gaussians(made.means, made.scales, made.quaternions, made.opacities, sh_from_color(color))
+    light = srgb_to_linear(color[0]).astype(np.float32)
+    renderer.draw(list(parts), camera, RainGaussians(drops, light, rain.rain_light, 1, 0))
+    return renderer.read().rgba.astype(np.float64)
+
+
+@pytest.mark.parametrize("share_of_dm", [0.25, 0.5, 1.0, 1.4, 1.99])
+@pytest.mark.parametrize(
+    ("exposure_s", "diameter_mm", "tolerance"),
+    [
+        (0.001, 1.0, 0.1), (0.001, 1.5, 0.1), (0.003, 1.0, 0.05), (0.003, 3.0, 0.05), (0.004, 1.0, 0.05),
+        (0.016, 1.5, 0.05), (0.05, 1.0, 0.05),
+    ],
+)  # fmt: skip
+def test_a_streak_hides_as_much_as_its_drop(renderer, exposure_s, diameter_mm, tolerance, share_of_dm):
+    """The sum of alpha over the picture is pi D^2 / 4 (f / d)^2 px^2, averaged over sub-pixel phases."""
+    distance = share_of_dm * FOCAL * diameter_mm * 1e-3
+    pictures = [streak_picture(renderer, diameter_mm, distance, exposure_s, phase) for phase in PHASES]
+    mean = np.mean([picture[..., 3].sum() for picture in pictures])
+    assert mean == pytest.approx(np.pi / 4 * (diameter_mm * 1e-3 * FOCAL / distance) ** 2, rel=tolerance)
+
+
+def test_half_the_exposure_makes_streaks_half_as_long_and_twice_as_opaque(renderer):
+    """L = v T (eq. 10) and alpha = D / (v T) (eq. 5); what is hidden together stays."""
+    diameter_mm, distance = 1.5, 0.25
+    peaks, lengths, totals = [], [], []
+    for exposure_s in (0.016, 0.008):
+        alpha = streak_picture(renderer, diameter_mm, distance, exposure_s, (0.5, 0.5))[..., 3]
+        # Four Gaussians L/4 apart with L/4 as standard deviation, and 0.3 px^2 for the pixel.
+        variance = _variance(alpha, 0) - 0.3
+        lengths.append(4 * np.sqrt(variance / (1 + 15 / 12)) * distance / FOCAL)
+        peaks.append(alpha.max())
+        totals.append(alpha.sum())
+    speed = fall_speed(diameter_mm)
+    assert lengths == pytest.approx([0.016 * speed, 0.008 * speed], rel=0.02)
+    assert peaks == pytest.approx([1.5e-3 / (0.016 * speed), 1.5e-3 / (0.008 * speed)], rel=0.1)
+    assert peaks[1] == pytest.approx(2 * peaks[0], rel=0.03)
+    assert totals[1] == pytest.approx(totals[0], rel=0.02)
+
+
+def test_a_drop_out_of_focus_is_wider_by_the_circle_of_confusion_and_hides_as_much(renderer):
+    """c = f A |1/d - 1/d_focus| px; a disc of diameter c has c^2 / 16 as its variance along each axis."""
+    diameter_mm, distance, exposure_s = 1.0, 0.5, 0.004
+    lens = {"aperture_mm": 4.0, "focus_distance_m": 8.0}
+    sharp, blurred = (
+        np.mean([streak_picture(renderer, diameter_mm, distance, exposure_s, phase, **fields)[..., 3] for phase in
+                 PHASES[:6]], axis=0) for fields in ({}, lens)
+    )  # fmt: skip
+    assert blurred.sum() == pytest.approx(sharp.sum(), rel=0.03)
+    circle_px = FOCAL * 4e-3 * (1 / distance - 1 / 8.0)
+    for axis, tolerance in ((0, 0.01), (1, 0.05)):
+        assert _variance(blurred, axis) == pytest.approx(_variance(sharp, axis) + circle_px**2 / 16, rel=tolerance)
+
+
+def test_no_drop_whose_blur_reaches_the_picture_is_left_out(renderer):
+    """The search looks at drops as far beside the picture as a circle of confusion is wide."""
+    lens = {"aperture_mm": 50.0, "focus_distance_m": 0.3, "exposure_s": 5e-4, "haze": False}
+    camera = eye_at((0.0, 0, 1.5), 32, 24, 60.0)
+    anchor = np.eye(4)
+    anchor[:3, 3] = 0.0, 0.0, 1.5
+    view = View(camera, anchor, np.zeros(3), focal_px=FOCAL)
+    field = Rainfall.start(Rain(intensity_mm_h=1.2, **lens)).streak_field(3.0, view)
+    wider = replace(field, culling=field.culling._replace(slopes=np.array([-9.0, 9, -9, 9])))
+    alphas = []
+    for each in (field, wider):
+        made = each.streaks(each.drops())
+        color = sh_from_color(np.full((len(made.means), 3), 0.8, np.float32))
+        drops = Gaussians(made.means, made.scales, made.quaternions, made.opacities, color)
+        renderer.draw([], camera, RainGaussians(drops, np.full(3, 0.6, np.float32), "linear", 1, 0))
+        alphas.append(renderer.read().rgba[..., 3])
+    assert alphas[0].max() > 0.002
+    assert len(wider.drops().numbers) > 1.3 * len(field.drops().numbers)
+    np.testing.assert_allclose(alphas[0], alphas[1], atol=1e-6)
+
+
+def _variance(alpha, axis):
+    """Of where alpha lies along an axis, in px^2."""
+    weight = alpha.sum(axis=1 - axis) / alpha.sum()
+    places = np.arange(len(weight))
+    return weight @ (places - weight @ places) ** 2
+
+
+@pytest.mark.parametrize(("light", "rise"), [("linear", 8.0), ("display", 3.0)])
+def test_a_streak_before_grey_52_under_a_sky_of_200_rises_as_light_adds(renderer, light, rise):
+    """A 1.5 mm drop at 16 ms covers 2 %: 8 levels where light adds, 3 where display values are mixed."""
+    drop = {"diameter_mm": 1.5, "distance_m": 0.25, "exposure_s": 0.016, "phase": (0.5, 0.5)}
+    drop |= {"grey": 200 / 255, "rain_light": light}
+    alpha = streak_picture(renderer, **drop)[..., 3]
+    before = streak_picture(renderer, **drop, parts=[wall(9.0, 52 / 255)], streak_gain=0.0)[..., 0]
+    after = streak_picture(renderer, **drop, parts=[wall(9.0, 52 / 255)])[..., 0]
+    assert alpha.max() == pytest.approx(1.5e-3 / (0.016 * fall_speed(1.5)), rel=0.1)
+    if light == "linear":
+        mixed = linear_to_srgb((1 - alpha) * srgb_to_linear(before) + alpha * srgb_to_linear(np.array(200 / 255)))
+    else:
+        mixed = (1 - alpha) * before + alpha * 200 / 255
+    np.testing.assert_allclose(after, mixed, atol=2e-4)
+    assert 255 * (after - before).max() == pytest.approx(rise, abs=0.7)
+
+
+class HazeFields:
+    """Black haze before white walls: what is left of a wall's light is the haze's transmittance."""
+
+    def __init__(self, renderer):
+        self.renderer = renderer
+        self.rainfall = Rainfall.start(Rain(intensity_mm_h=12.0, streaks=False, drop_color=(0.0, 0.0, 0.0)))
+        self.camera = eye_at((0.0, 0, 0), 20, 16, 70.0)
+        # The camera stands at one end of the haze region, half-way up: a ray of 66 m stays inside.
+        anchor = np.eye(4)
+        anchor[:3, 3] = 9.0, 0.0, -9.5
+        self.view = View(self.camera, anchor, np.zeros(3))
+
+    def mean_transmittance(self, distances_m, fields):
+        """Mean over pixels and fields of what haze nearer than each distance lets through.
+
+        A life of the haze apart every Gaussian is elsewhere: the fields are independent.
+        """
+        walls = [wall(distance, 1.0) for distance in distances_m]
+        self.renderer.draw([walls[0]], self.camera)
+        clear = srgb_to_linear(self.renderer.read().rgba[..., 0].astype(np.float64))
+        total = np.zeros((len(walls), self.camera.height, self.camera.width))
+        for field in range(fields):
+            haze = self.rainfall.at(4.0 * field, self.view)
+            for number, each in enumerate(walls):
+                self.renderer.draw([each], self.camera, haze)
+                total[number] += srgb_to_linear(self.renderer.read().rgba[..., 0].astype(np.float64)) / clear
+        return total / fields
+
+
+@pytest.fixture(scope="module")
+def transmittance(renderer):
+    """Of a piece of 6 m, which the ramp before the camera belongs to, and of 20, 40 and 60 m more."""
+    return HazeFields(renderer).mean_transmittance([6.0, 26.0, 46.0, 66.0], 400).mean(axis=(1, 2))
+
+
+@pytest.mark.parametrize(("number", "length_m"), [(1, 20.0), (2, 40.0), (3, 60.0)])
+def test_a_ray_inside_the_haze_keeps_exp_of_minus_beta_l(renderer, transmittance, number, length_m):
+    beta = HazeFields(renderer).rainfall.state.extinction_per_m
+    assert beta == pytest.approx(2.53e-3, rel=0.01)
+    # Slanted rays of this narrow view are 0.5 % longer on average.
+    assert -np.log(transmittance[number] / transmittance[0]) == pytest.approx(1.005 * beta * length_m, rel=0.05)
+
+
+def test_near_the_camera_the_haze_leaves_room_for_streaks(renderer, transmittance):
+    """Its opacity ramps up over 3-5 m: of the first 6 m it takes what 2 m take."""
+    beta = HazeFields(renderer).rainfall.state.extinction_per_m
+    assert -np.log(transmittance[0]) == pytest.approx(2 * beta, rel=0.35)

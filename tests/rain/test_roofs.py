@@ -1,0 +1,186 @@
+"""Roofs: bridges and canopies keep rain off, roads, walls, poles and floaters don't."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from gsrain_engine.rain.drop_field import drops_at
+from gsrain_engine.rain.presets import load_preset
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.rainfall import Rainfall, View
+from gsrain_engine.rain.roofs import CELL_M, Roofs, find_roofs, roofs_of
+from gsrain_engine.raster.cpu_renderer import CpuRenderer
+from gsrain_engine.render.scene_view import Shot, rain_in
+from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
+from gsrain_engine.scene.scene import Layer, Part, Scene
+
+UP = np.array([0.0, 0, 1])
+SKY = (0.8, 0.8, 0.8)
+EYE = np.array([8.0, 0, 1.5])
+
+
+def sheet(low, high, spacing=0.25, thickness=0.01):
+    """Overlapping flat Gaussians on a rectangle that lies along two axes."""
+    low, high = np.array(low, float), np.array(high, float)
+    lines = [np.arange(a, b + 1e-9, spacing) if b > a else np.array([a]) for a, b in zip(low, high, strict=True)]
+    means = np.stack([each.ravel() for each in np.meshgrid(*lines)], axis=1).astype(np.float32)
+    scales = np.where(high > low, 0.6 * spacing, thickness).astype(np.float32)
+    n = len(means)
+    upright = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
+    color = sh_from_color(np.full((n, 3), 0.3, np.float32))
+    return Gaussians(means, np.tile(scales, (n, 1)), upright, np.full(n, 0.9, np.float32), color)
+
+
+ROAD = sheet((-10, -10, 0), (30, 10, 0))
+BRIDGE = sheet((10, -10, 5), (16, 10, 5))
+WALL = sheet((-10, 7.1, 0), (30, 7.1, 8))
+POLE = sheet((3, -3, 0), (3.2, -2.8, 6), 0.1)
+HILL = Gaussians(
+    (ROAD.means + np.array([0, 0, 0.3]) * ROAD.means[:, :1]).astype(np.float32),
+    ROAD.scales, ROAD.quaternions, ROAD.opacities, ROAD.sh,
+)  # fmt: skip
+
+
+def floaters():
+    random = np.random.default_rng(4)
+    n, f = 400, np.float32
+    means = random.uniform((-10, -10, 2.5), (30, 10, 9), (n, 3)).astype(f)
+    upright = np.tile(np.array([1, 0, 0, 0], f), (n, 1))
+    color = sh_from_color(np.full((n, 3), 0.3, f))
+    return Gaussians(means, np.full((n, 3), 0.15, f), upright, np.full(n, 0.9, f), color)
+
+
+def scene(*sets):
+    return Scene("test", tuple(Layer(str(number), each) for number, each in enumerate(sets)))
+
+
+def parts(*sets):
+    return [Part(each, np.eye(4)) for each in sets]
+
+
+def test_a_bridge_shelters_what_is_under_it_and_nothing_else():
+    roofs = find_roofs(parts(ROAD, BRIDGE))
+    x, y = np.meshgrid(np.arange(-8, 28.1, 0.2), np.arange(-8, 8.1, 0.2))
+    for height, expected in ((0.5, True), (4.5, True), (5.5, False)):
+        places = np.stack([x.ravel(), y.ravel(), np.full(x.size, height)], axis=1)
+        under = (places[:, 0] > 10 + CELL_M) & (places[:, 0] < 16 - CELL_M)
+        beside = (places[:, 0] < 10 - 2 * CELL_M) | (places[:, 0] > 16 + 2 * CELL_M)
+        sheltered = roofs.shelter(places)
+        assert np.all(sheltered[under] == expected)
+        assert not np.any(sheltered[beside])
+    assert not np.any(roofs.shelter(np.array([[500.0, 0, 1], [-500.0, 0, 1], [12.0, 700.0, 1]])))
+
+
+@pytest.mark.parametrize(
+    "sets", [(ROAD,), (ROAD, WALL), (ROAD, POLE), (HILL,), (ROAD, floaters()), (Gaussians.empty(),), ()]
+)
+def test_roads_walls_poles_and_floaters_are_no_roofs(sets):
+    assert find_roofs(parts(*sets)) is None
+
+
+def test_strays_far_away_change_nothing():
+    strays = sheet((0, 0, 0), (0, 0, 0))
+    away = [np.array([[x, x, 3.0]], np.float32) for x in (1e12, -1e12, 4e4)]
+    far = [Gaussians(place, strays.scales, strays.quaternions, strays.opacities, strays.sh) for place in away]
+    roofs = find_roofs(parts(Gaussians.concatenate([ROAD, BRIDGE, *far])))
+    places = np.array([[13.0, 1.0, 2.0], [5.0, 1.0, 2.0], [13.0, 1.0, 6.0]])
+    assert roofs.shelter(places).tolist() == [True, False, False]
+    assert find_roofs(parts(Gaussians.concatenate(far))) is None
+
+
+def test_a_roof_of_few_large_gaussians_is_one_too_and_holes_in_it_are_closed():
+    coarse = sheet((10, -10, 5), (16, 10, 5), spacing=1.5)
+    torn = BRIDGE.take(np.flatnonzero(~((abs(BRIDGE.means[:, 0] - 13) < 0.3) & (abs(BRIDGE.means[:, 1]) < 0.3))))
+    assert len(torn) < len(BRIDGE)
+    for bridge in (coarse, torn):
+        roofs = find_roofs(parts(ROAD, bridge))
+        places = np.random.default_rng(0).uniform((11, -8, 1), (15, 8, 4), (500, 3))
+        assert np.mean(roofs.shelter(places)) > 0.97
+
+
+def test_roofs_follow_the_scene_s_units_and_axes():
+    """A scene in centimetres with y up: its own z is across."""
+    to_file = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    turned = []
+    for g in (ROAD, BRIDGE):
+        scales = 100 * g.scales[:, [0, 2, 1]]
+        turned.append(Layer("x", Gaussians((100 * g.means @ to_file.T).astype(np.float32), scales.astype(np.float32),
+                                           g.quaternions, g.opacities, g.sh)))  # fmt: skip
+    roofs = roofs_of(Scene("centimetres", tuple(turned), metres_per_unit=0.01, up=(0.0, 1.0, 0.0)))
+    direct = roofs_of(scene(ROAD, BRIDGE))
+    places = np.random.default_rng(1).uniform((-8, -8, 0.5), (28, 8, 7), (4000, 3))
+    assert np.mean(roofs.shelter(places) == direct.shelter(places)) > 0.98
+
+
+def test_sky_and_hidden_layers_are_no_roofs():
+    for changes in ({"kind": "sky"}, {"visible": False}):
+        assert roofs_of(Scene("test", (Layer("road", ROAD), Layer("bridge", BRIDGE, **changes)))) is None
+
+
+def test_a_piece_shelters_as_the_whole_does():
+    roofs = find_roofs(parts(ROAD, BRIDGE))
+    piece = roofs.around(11.0, 1.0, 4.0)
+    assert piece is not None and piece.heights_m.size < 0.2 * roofs.heights_m.size
+    places = np.random.default_rng(2).uniform((7.1, -2.9, 0), (14.9, 4.9, 8), (4000, 3))
+    np.testing.assert_array_equal(piece.shelter(places), roofs.shelter(places))
+    assert roofs.around(-5.0, 0.0, 4.0) is None
+    assert roofs.around(-500.0, 0.0, 4.0) is None
+
+
+def camera(eye=EYE):
+    return Camera.from_fov(160, 120, 50.0, look_at(eye, eye + [1.0, 0, 0], UP))
+
+
+def rain(**fields):
+    return Rainfall.start(msgspec.structs.replace(load_preset("12.0"), **fields))
+
+
+@pytest.mark.parametrize("reset", ["lattice", "paper"])
+def test_no_drop_and_no_haze_is_under_the_bridge(reset):
+    street = scene(ROAD, BRIDGE)
+    fields = {"streak_reset": reset, "intensity_mm_h": 50.0, "haze_opacity": 0.01}
+    shot = Shot(camera(), 3.0, focal_px=1000.0)
+    open_air, kept_out = (rain_in(street, rain(roofs=on, **fields), SKY, shot) for on in (False, True))
+    roofs = roofs_of(street)
+    field, everywhere = kept_out.streak_field, open_air.streak_field.drops()
+    under = roofs.shelter(open_air.streak_field.positions(everywhere))
+    assert 0.1 < np.mean(under) < 1
+    np.testing.assert_array_equal(field.drops().numbers, everywhere.numbers[~under])
+    wet = roofs.shelter(open_air.haze.means.astype(float))
+    assert np.sum(wet) > 20
+    np.testing.assert_array_equal(kept_out.haze.means, open_air.haze.means[~wet])
+
+
+def test_the_open_street_does_not_change_by_it():
+    """Same bytes where there is no roof, and where the only one is out of the rain's reach."""
+    far_bridge = sheet((200, -10, 5), (206, 10, 5))
+    far_road = sheet((190, -10, 0), (210, 10, 0))
+    pictures = []
+    for street in (scene(ROAD, WALL), scene(ROAD, WALL, far_road, far_bridge)):
+        for on in (False, True):
+            renderer = CpuRenderer()
+            falling = rain_in(street, rain(roofs=on), SKY, Shot(camera(), 3.0))
+            renderer.draw(street.parts(), camera(), falling)
+            pictures.append(renderer.read().rgba.tobytes())
+    assert roofs_of(scene(ROAD, WALL, far_road, far_bridge)) is not None
+    assert pictures[0] == pictures[1] and pictures[2] == pictures[3]
+
+
+def test_rain_reaches_everywhere_unless_it_is_asked_for():
+    assert not Rain().roofs
+
+
+def test_a_drop_above_the_roof_is_drawn():
+    field = rain(seed=5).streak_field(1.0, View(camera(), _anchor(EYE), np.zeros(3)))
+    drops = drops_at(np.arange(4000), field.rain.seed, field.where)
+    heights = np.full((40, 40), 3.0, np.float32)
+    roofs = Roofs(heights, (EYE[0] - 10, EYE[1] - 10))
+    places = field.positions(drops)
+    np.testing.assert_array_equal(roofs.shelter(places), places[:, 2] < 3.0)
+
+
+def _anchor(position):
+    anchor = np.eye(4)
+    anchor[:3, 3] = position
+    return anchor
