@@ -33,6 +33,9 @@ for name, summary in COMMANDS.items():
 benchmarks = App(name="bench", help="Time this machine.")
 benchmarks.command("app.commands.bench:render", name="render", help="Time frames of fixed scenes.")
 app.command(benchmarks)
+evaluations = App(name="evaluate", help="Compare what is made with what cameras see.")
+evaluations.command("app.commands.evaluate:streaks", name="streaks", help="Rain streaks: real ones, and ours.")
+app.command(evaluations)
 
 
 def run(arguments: list[str]) -> int:

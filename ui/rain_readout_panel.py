@@ -30,7 +30,7 @@ def rain_readout_panel(session: Session) -> None:
             f"Number density N; the table says {state.table_density_m3:,.0f}.",
         ),
         (
-            "As by the table",
+            "Table has as many at",
             _by_number(state.density_m3, session.rainfall.calibration),
             "Intensity at which the calibration's own table has as many drops as are drawn.",
         ),

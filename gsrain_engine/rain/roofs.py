@@ -82,13 +82,13 @@ class _Points(NamedTuple):
 def roofs_of(scene: Scene) -> Roofs | None:
     """Find the roofs of what stands still and can be seen in a scene, sky apart; None where there are none.
 
-    The last scene's are kept.
+    Those of the last two scenes are kept: a split view shows as many.
     """
     solid = tuple(layer for layer in scene.layers if layer.visible and layer.kind == "background")
     return _roofs_of_layers(solid, scene.metres_per_unit, scene.up)
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def _roofs_of_layers(layers: tuple[Layer, ...], metres_per_unit: float, up: tuple[float, float, float]) -> Roofs | None:
     parts = Scene("", layers, metres_per_unit=metres_per_unit, up=up).parts()
     return find_roofs(parts)

@@ -15,6 +15,7 @@ from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import OVERCAST, Rainfall
+from gsrain_engine.rain.roofs import Roofs, roofs_of
 from gsrain_engine.render.frame import Color
 from gsrain_engine.render.gpu_arrays import Harmonics
 from gsrain_engine.render.look import Look
@@ -122,6 +123,7 @@ class Session:
         self._files = ThreadPoolExecutor(max_workers=1, thread_name_prefix="files")
         self._opening: tuple[str, Future[Scene]] | None = None
         self._saving: tuple[Path, Future[None]] | None = None
+        self._roofs: tuple[Scene, Future[Roofs | None]] | None = None
         self.history = History.beginning_with(Document(scene, rain or load_preset("clear")))
         self.rainfall = Rainfall.start(self.rain)
         self._other_rainfalls: dict[Rain, Rainfall] = {}
@@ -232,12 +234,14 @@ class Session:
             return f"Uploading {self.staged.label}"
         if self._saving is not None:
             return f"Saving {self._saving[0]}"
+        if self.rain.roofs and not self._roofs_are_found:
+            return "Finding roofs"
         return "Preparing the picture; once after an update this takes up to a minute" if self.is_compiling else None
 
     @property
     def pending_files(self) -> list[Future[Any]]:
-        """Reading and writing that is under way, to wait for where there are no frames to wait with."""
-        return [each[1] for each in (self._opening, self._saving) if each is not None]
+        """Reading, writing and finding roofs, to wait for where there are no frames to wait with."""
+        return [each[1] for each in (self._opening, self._saving, self._roofs) if each is not None]
 
     @property
     def is_working(self) -> bool:
@@ -275,6 +279,8 @@ class Session:
         """Let time go by and take in what background work has finished. Once a frame."""
         self.clock.advance(real_s)
         self._poll_files()
+        if self.rain.roofs and (self._roofs is None or self._roofs[0] is not self.scene):
+            self._roofs = self.scene, self._files.submit(roofs_of, self.scene)
         self.lab.poll()
         if self.job is not None and self.job.state == "running":
             self.job.poll()
@@ -286,7 +292,7 @@ class Session:
     @property
     def sides(self) -> list[Side]:
         """What the viewport shows: one side, or two from left to right."""
-        here = Side("", self.scene, self.rainfall)
+        here = Side("", self.scene, self._drawn_rainfall)
         if self.view.split == "clear | rainy":
             clear = msgspec.structs.replace(self.rain, intensity_mm_h=0.0)
             return [Side("clear", self.scene, self._rainfall_of(clear)), here._replace(label="rainy")]
@@ -338,6 +344,17 @@ class Session:
         self._files.shutdown()
         self.lab.close()
         logger.removeHandler(self.log)
+
+    @property
+    def _roofs_are_found(self) -> bool:
+        return self._roofs is not None and self._roofs[0] is self.scene and self._roofs[1].done()
+
+    @property
+    def _drawn_rainfall(self) -> Rainfall:
+        """The rain without roofs until they are found: a frame that looked for them would take seconds."""
+        if not self.rain.roofs or self._roofs_are_found:
+            return self.rainfall
+        return replace(self.rainfall, rain=msgspec.structs.replace(self.rain, roofs=False))
 
     def _rainfall_of(self, rain: Rain) -> Rainfall:
         if rain == self.rain:

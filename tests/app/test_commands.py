@@ -212,5 +212,5 @@ def test_a_display_that_is_not_there_is_told(room):
 def test_help_lists_every_command(capsys):
     run(["--help"])
     said = capsys.readouterr().out
-    for command in ("render", "info", "convert", "street", "doctor"):
+    for command in ("render", "info", "convert", "street", "calibrate", "disdrometer", "evaluate", "bench", "doctor"):
         assert command in said

@@ -4,6 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from gsrain_engine.rain.rain import Rain
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.session.navigation import Navigation
 from gsrain_engine.session.region_outlines import project_edges, region_outlines
@@ -159,3 +160,16 @@ def test_region_edges_are_cut_at_the_camera(session):
     anchor[0, 3] = 20.0  # all in front
     lines = project_edges(session.rain.streak_region, anchor, session.shot(300, 200).camera)
     assert len(lines) == 12
+
+
+def test_roofs_are_found_behind_the_window_and_rain_falls_through_them_until_then():
+    session = Session(small_scene(), Rain(intensity_mm_h=8.5, roofs=True))
+    assert session.busy == "Finding roofs"
+    assert not session.sides[0].rainfall.rain.roofs
+    session.update(0.0)
+    wait(session.pending_files, timeout=60)
+    assert session.busy is None
+    assert session.sides[0].rainfall is session.rainfall
+    session.show_member(session.scene.layers[0].name, visible=False)  # another scene, as seen from above
+    assert session.busy == "Finding roofs"
+    session.close()

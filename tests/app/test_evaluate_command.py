@@ -1,0 +1,158 @@
+"""`gsrain evaluate streaks` on a small made-up data set in RainSense's layout, and on bad input."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from app.command_line import BAD_INPUT, run
+from gsrain_engine.datasets.rainsense import find_rain_sequences
+
+WIDTH, HEIGHT, FRAMES = 256, 192, 8
+INTRINSICS = """K_cam:
+400.0 0.0 128.0
+0.0 402.0 160.0
+0.0 0.0 1.0
+distortion:
+-0.4 0.05 -0.006 0.007 2.5e-01
+"""
+
+
+def write_sequence(folder, intensity, frames=FRAMES):
+    """Grey walls under a bright sky, with noise; frame 3 has one bright upright line."""
+    random = np.random.default_rng(7)
+    (folder / "context").mkdir(parents=True)
+    (folder / "image").mkdir()
+    (folder / "context" / "rainfall_intensity.txt").write_text(f"current intensity:{intensity}")
+    (folder / "context" / "camera_intrinsics.txt").write_text(INTRINSICS)
+    stamps = [f"{1000 + 0.1 * k:.4f},{k}" for k in range(frames + 2)]
+    (folder / "timestamps.txt").write_text("\n".join(["timestamps,index", *stamps]))
+    for number in range(frames):
+        levels = np.full((HEIGHT, WIDTH), 45.0)
+        levels[:40] = 210
+        if number == 3:
+            levels[80:120, 100:104] += 20
+        grey = np.clip(levels + 1.2 * random.standard_normal(levels.shape), 0, 255).astype(np.uint8)
+        Image.fromarray(np.dstack([grey] * 3)).save(folder / "image" / f"image_{number:03}.jpg", quality=97)
+
+
+@pytest.fixture
+def real(tmp_path):
+    """Two sequences, the heavier first by name."""
+    write_sequence(tmp_path / "set" / "a" / "case_000", 6.0)
+    write_sequence(tmp_path / "set" / "b" / "case_000", 1.5)
+    return tmp_path / "set"
+
+
+def streaks(folder, *options):
+    return run(["evaluate", "streaks", str(folder), *options])
+
+
+def test_sequences_are_read_by_rising_intensity(real):
+    light, heavy = find_rain_sequences(real)
+    assert (light.name, light.intensity_mm_h, len(light)) == ("b/case_000", 1.5, FRAMES)
+    assert heavy.intensity_mm_h == 6.0
+    camera = light.camera
+    assert (camera.width, camera.height) == (WIDTH, HEIGHT)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (400, 402, 128, 160)
+    np.testing.assert_allclose(camera.position, (0, 0, 1.5))
+    np.testing.assert_allclose(camera.world_to_camera[:3, :3] @ [1, 0, 0], [0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(light.distortion, (-0.4, 0.05, -0.006, 0.007, 0.25))
+    np.testing.assert_allclose(light.times_s, 0.1 * np.arange(FRAMES), atol=1e-6)
+    assert abs(int(light.grey(3)[100, 102]) - 65) < 6
+    capture = light.capture([2, 5])
+    assert [view.name for view in capture] == ["image_002", "image_005"]
+    assert capture[1].time_s == pytest.approx(0.5)
+    np.testing.assert_allclose(capture[0].image[150].mean(), 45, atol=1)
+
+
+def test_streaks_reports_real_and_ours(real, tmp_path, capsys):
+    file = tmp_path / "out" / "streaks.json"
+    options = ("--exposure", "0.008,0.02", "--frames", "7", "--json", str(file))
+    assert streaks(real, *options) == 0
+    report = json.loads(file.read_text())
+    assert (report["frames"], report["rain_light"], report["seed"]) == (7, "linear", 0)
+    assert [row["labelled_mm_h"] for row in report["rows"]] == [1.5, 6.0]
+    for row in report["rows"]:
+        assert row["rendered_mm_h"] == row["labelled_mm_h"]
+        assert row["window"] == [0, 0, WIDTH, 160]  # down to the horizon
+        assert row["sky_levels"] == pytest.approx(210, abs=3)
+        assert [each["exposure_s"] for each in (row["real"], *row["ours"])] == [None, 0.008, 0.02]
+        streak = row["real"]["streak"]
+        assert (streak["streaks"], streak["darker"]) == (1, 0)
+        assert streak["length_px"][1] == pytest.approx(40, rel=0.15)
+        assert row["real"]["residual"]["frames"] == 7
+    assert all(row["ours"][0]["streak"]["streaks"] > 0 for row in report["rows"])
+    shown = capsys.readouterr().out
+    assert shown.count("real") == 2
+    assert shown.count("ours") == 4
+    again = tmp_path / "again.json"
+    assert streaks(real, *options[:-1], str(again)) == 0
+    assert again.read_bytes() == file.read_bytes()
+
+
+def test_options_change_our_rain(real, tmp_path):
+    def mean_std(*options):
+        file = tmp_path / "numbers.json"
+        assert (
+            streaks(real / "b", "--exposure", "0.008", "--window", "0,48,256,128", "--json", str(file), *options) == 0
+        )
+        row = json.loads(file.read_text())["rows"][0]
+        assert row["window"] == [0, 48, 256, 128]
+        return row["rendered_mm_h"], row["ours"][0]["residual"]["std_levels"]
+
+    (labelled, plain), (none, clear) = mean_std(), mean_std("--rain", "0")
+    assert (labelled, none) == (1.5, 0)
+    assert plain > clear + 0.05
+    assert mean_std("--streak-gain", "4")[1] > plain + 0.05
+    assert mean_std("--light", "display")[1] < plain - 0.03
+    assert mean_std("--aperture", "8")[1] < plain - 0.03
+    assert mean_std("--seed", "1")[1] != plain
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--frames", "4"], "--frames 4: must be within 5..200"),
+        (["--exposure", "0.004,,0.01"], "--exposure 0.004,,0.01: expected seconds"),
+        (["--exposure", "3"], "--exposure 3: expected seconds within 0.00001..1"),
+        (["--window", "1,2,3"], "--window 1,2,3: expected LEFT,TOP,WIDTH,HEIGHT"),
+        (["--window", "0,0,300,64"], "window 0,0,300,64: must be 32 px or more within 256x192"),
+        (["--rain", "200"], "intensity_mm_h"),
+    ],
+)
+def test_bad_options_end_in_one_line(real, capsys, options, said):
+    assert streaks(real, *options) == BAD_INPUT
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert said in error
+
+
+def test_bad_data_sets_end_in_one_line(real, tmp_path, capsys):
+    def said(folder):
+        assert streaks(folder) == BAD_INPUT
+        return capsys.readouterr().err.splitlines()[-1]
+
+    (tmp_path / "empty").mkdir()
+    assert "no RainSense sequence in it" in said(tmp_path / "empty")
+    write_sequence(tmp_path / "short", 2.0, frames=3)
+    assert "no sequence of 5 frames or more" in said(tmp_path / "short")
+    case = real / "a" / "case_000"
+    (case / "image" / "image_002.jpg").write_bytes(b"no picture")
+    assert "image_002.jpg: not a readable JPEG" in said(case)
+    (case / "timestamps.txt").write_text("timestamps,index\n1.0,0\n")
+    assert "timestamps.txt: 1 time stamps, expected at least 8" in said(case)
+    (case / "context" / "camera_intrinsics.txt").write_text("K_cam:\n1 2 3\n")
+    assert "camera_intrinsics.txt: 3 numbers, expected 14" in said(case)
+    (case / "context" / "rainfall_intensity.txt").write_text("current intensity:-3")
+    assert "-3.0 mm/h, expected 0 to 500" in said(case)
+
+
+def test_real_sequences_are_read(test_data):
+    folder = test_data / "weather" / "rainsense"
+    if not folder.is_dir():
+        pytest.skip(f"no RainSense at {folder}")
+    sequences = find_rain_sequences(folder)
+    assert [each.intensity_mm_h for each in sequences] == [0, 1.376, 2.654, 4.75, 9.245]
+    assert sequences[-1].grey(0).shape == (1080, 1920)
+    assert sequences[-1].camera.fx == pytest.approx(1916.124)

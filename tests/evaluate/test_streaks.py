@@ -1,0 +1,176 @@
+"""Streaks of known angle, length, width and alpha come back; noise, edges and what moves all the time give none."""
+
+import numpy as np
+import pytest
+
+from gsrain_engine.evaluate.rain_over_picture import cropped, rain_frames
+from gsrain_engine.evaluate.residuals import residual_statistics, residuals
+from gsrain_engine.evaluate.streak_statistics import streak_statistics
+from gsrain_engine.evaluate.streaks import FALL_BY_DIAMETER_S, coverage, find_streaks
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.rainfall import Rainfall
+from gsrain_engine.scene.camera import Camera, look_at
+
+from .drawn_streaks import SHAPE, SKY, box, frames
+
+FRAMES = 9
+NOTHING = np.zeros(SHAPE)
+ALPHA = 0.03
+RISE_LEVELS = 16.2
+"""What 0.03 of the light of grey 220 lifts grey 45 by."""
+
+
+def with_streaks(*streaks, number=4, **options):
+    """FRAMES frames, one of which has boxes (center, angle, length, width, alpha)."""
+    alphas = [NOTHING] * FRAMES
+    alphas[number] = sum(alpha * box(*shape) for *shape, alpha in streaks)
+    return residuals(frames(alphas, **options))
+
+
+@pytest.mark.parametrize("angle", [-20, 0, 8, 33, 75])
+@pytest.mark.parametrize(("length", "width"), [(24, 3), (50, 5), (70, 9)])
+def test_a_known_streak_comes_back(angle, length, width):
+    found = with_streaks(((101.3, 80.6), angle, length, width, ALPHA))
+    table = find_streaks(found, SKY)
+    assert len(table) == 1
+    assert table.frame[0] == 4
+    np.testing.assert_allclose(table.center_px[0], (101.3, 80.6), atol=1.0)
+    assert table.angle_deg[0] == pytest.approx(angle, abs=2.5)
+    assert table.length_px[0] == pytest.approx(length, rel=0.12)
+    assert table.width_px[0] == pytest.approx(width, abs=1.1)
+    assert table.background_levels[0] == pytest.approx(45, abs=1)
+    assert table.coverage_px2[0] == pytest.approx(ALPHA * length * width, rel=0.15)
+    assert table.opacity[0] == pytest.approx(ALPHA, rel=0.3)
+    assert table.rise_levels[0] == pytest.approx(RISE_LEVELS, rel=0.25)
+
+
+def test_exposure_is_told_at_any_distance():
+    """Near and far drops of one shutter: length and width shrink alike, the exposure stays."""
+    aspect, told = 10.0, []
+    for length in (30.0, 60.0):
+        width = length / aspect
+        # A disc of diameter w, smeared over length L: coverage pi/4 w^2, alpha w/L pi/4.
+        found = with_streaks(((100, 80), 5, length, width, np.pi / 4 / aspect))
+        told.append(find_streaks(found, SKY).exposure_s[0])
+    np.testing.assert_allclose(told, FALL_BY_DIAMETER_S * aspect, rtol=0.1)
+
+
+def test_noise_alone_gives_no_streaks():
+    found = residuals(frames([NOTHING] * 30, noise=2.5))
+    assert len(find_streaks(found, SKY)) + len(find_streaks(found, SKY, darker=True)) <= 1
+
+
+def test_two_streaks_stay_two_and_dark_ones_are_apart():
+    found = with_streaks(((60, 70), 0, 40, 4, 0.03), ((140, 90), 0, 40, 4, 0.03))
+    assert len(find_streaks(found, SKY)) == 2
+    assert len(find_streaks(found, SKY, darker=True)) == 0
+    darker = with_streaks(((60, 70), 0, 40, 4, -0.013))
+    assert len(find_streaks(darker, SKY)) == 0
+    table = find_streaks(darker, SKY, darker=True)
+    assert len(table) == 1
+    assert table.coverage_px2[0] == pytest.approx(0.013 * 160, rel=0.2)
+
+
+def test_streaks_that_the_edge_cuts_off_are_left_out():
+    assert len(find_streaks(with_streaks(((100, 8), 0, 40, 4, 0.03)), SKY)) == 0
+
+
+def test_round_spots_are_no_streaks():
+    assert len(find_streaks(with_streaks(((100, 80), 0, 12, 12, 0.05)), SKY)) == 0
+
+
+def test_what_moves_all_the_time_counts_nowhere():
+    random = np.random.default_rng(5)
+    alphas = [random.uniform(0, 0.2) * box((50, 80), 0, 60, 30) for _ in range(FRAMES)]
+    found = residuals(frames(alphas))
+    assert not found.still[80, 50]
+    assert found.still[80, 150]
+    assert len(find_streaks(found, SKY)) == 0
+    statistics = residual_statistics(found)
+    assert statistics.still_share == pytest.approx(found.still.mean())
+    assert statistics.std_levels == pytest.approx(1.5, abs=0.15)
+    assert statistics.share_above < 1e-3
+
+
+def test_residual_statistics_of_known_rain():
+    found = with_streaks(((100, 80), 0, 80, 10, 0.03))
+    statistics = residual_statistics(found)
+    assert statistics.frames == FRAMES
+    assert statistics.background_levels == 45
+    assert statistics.noise_levels == pytest.approx(1.5, abs=0.3)
+    assert statistics.share_above == pytest.approx(800 / (FRAMES * NOTHING.size), rel=0.1)
+    assert statistics.share_below < 1e-4
+
+
+def test_automatic_exposure_is_taken_out():
+    shown = frames([NOTHING] * FRAMES)
+    shown[2:6] += 12
+    assert residual_statistics(residuals(shown)).share_above < 1e-3
+
+
+def test_too_few_frames_or_nothing_still_says_so():
+    with pytest.raises(ValueError, match="4 frames: a temporal median"):
+        residuals(frames([NOTHING] * 4))
+    random = np.random.default_rng(1)
+    with pytest.raises(ValueError, match="no pixel stands still"):
+        residual_statistics(residuals(random.integers(0, 255, (7, 40, 50)).astype(np.uint8)))
+
+
+def test_statistics_count_what_the_band_holds():
+    found = with_streaks(((60, 70), 10, 40, 4, 0.03), ((140, 90), 10, 25, 4, 0.03), ((100, 130), 85, 40, 4, 0.03))
+    bright, darker = find_streaks(found, SKY), find_streaks(found, SKY, darker=True)
+    assert len(bright) == 3
+    statistics = streak_statistics(bright, darker, found)
+    assert (statistics.streaks, statistics.darker) == (2, 0)  # one lies flat
+    assert statistics.megapixels == pytest.approx(FRAMES * NOTHING.size * 1e-6)
+    assert statistics.per_megapixel == pytest.approx(2 / statistics.megapixels)
+    assert sum(statistics.length_histogram) == sum(statistics.angle_histogram) == 2
+    assert statistics.length_histogram[2] == 1  # 20..30 px
+    assert statistics.angle_deg[1] == pytest.approx(10, abs=2.5)
+    brighter = streak_statistics(bright, darker, found, (64, 96))
+    assert brighter.streaks == brighter.per_megapixel == 0
+    assert np.isnan(brighter.length_px).all()
+
+
+def test_coverage_undoes_linear_mixing():
+    shown = frames([np.full(SHAPE, 0.4)], noise=0).astype(np.float32)
+    np.testing.assert_allclose(coverage(np.full((1, *SHAPE), 45, np.float32), shown - 45, SKY), 0.4, rtol=0.02)
+
+
+def standing_camera():
+    eye = np.array([0.0, 0.0, 1.5])
+    pose = look_at(eye, eye + [1.0, 0.0, 0.0], np.array([0.0, 0.0, 1.0]))
+    return cropped(Camera(1920, 1080, 1916.0, 1916.0, 960.0, 540.0, pose), (600, 200, 400, 240))
+
+
+def rendered(rain, noise=1.0, background=45):
+    shape = (240, 400)
+    times = 0.1 * np.arange(FRAMES)
+    made = rain_frames(
+        np.full(shape, background, np.uint8), np.full(shape, noise, np.float32), standing_camera(),
+        Rainfall.start(rain), list(times), SKY,
+    )  # fmt: skip
+    return np.stack(list(made))
+
+
+def test_clear_sky_renders_the_background():
+    assert (rendered(Rain(), noise=0) == 45).all()
+
+
+@pytest.mark.parametrize("exposure_s", [0.004, 0.008])
+def test_our_rain_tells_the_exposure_it_was_rendered_with(exposure_s):
+    found = residuals(rendered(Rain(intensity_mm_h=2.0, exposure_s=exposure_s, haze=False)))
+    table = find_streaks(found, SKY)
+    assert len(table) > 30
+    # Four Gaussians a streak spread like a box that is 1.3 times as long.
+    assert np.median(table.exposure_s) == pytest.approx(1.3 * exposure_s, rel=0.25)
+    assert abs(np.median(table.angle_deg)) < 2
+
+
+def test_display_mixing_is_fainter_before_dark():
+    rain = {"intensity_mm_h": 2.0, "exposure_s": 0.008, "haze": False}
+    linear, display = (
+        rendered(Rain(**rain, rain_light=light), noise=0).astype(float) - 45 for light in ("linear", "display")
+    )
+    assert linear.min() >= 0
+    assert 2 < linear.mean() / display.mean() < 8
