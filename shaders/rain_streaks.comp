@@ -55,10 +55,11 @@ void main() {
         alpha = min(1.0, gain * alpha);
         // Copies overlap: their opacities would add up to sqrt(2 pi) alpha.
         opacity = 1.0 - pow(1.0 - alpha, inversesqrt(2.0 * PI));
+        float narrowing = alpha / max(sqrt(2.0 * PI) * opacity, 1e-30);
         float ratio = diameter > 1e-3 ? -70.0 * diameter + 1.07 : 1.0, streak = speed * exposure;
         copies = uint(clamp(roundEven(streak / (ratio * diameter)), 1.0, float(max_copies)));
         spacing = streak / float(copies);
-        across_sigma = sqrt(PI / 32.0) * max(diameter, p.z / focal);
+        across_sigma = sqrt(PI / 32.0) * max(diameter, p.z / focal) * narrowing;
         along_sigma = max(spacing, across_sigma);
         direction = seen / max(speed, 1e-9);
         if (aperture > 0.0) {

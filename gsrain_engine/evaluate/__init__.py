@@ -1,0 +1,1 @@
+"""How close what is made is to what cameras see."""

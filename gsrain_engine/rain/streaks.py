@@ -85,10 +85,12 @@ def make_streaks(
     speed = np.linalg.norm(seen, axis=1)
     length = speed * shutter.exposure_s
     copies = np.clip(np.rint(length / (axis_ratio(diameters_mm) * diameters_m)), 1, rain.max_copies).astype(np.int64)
-    across_sigma = np.sqrt(np.pi / 32) * np.maximum(diameters_m, depth / shutter.focal_px)
-    along_sigma = np.maximum(length / copies, across_sigma)
-    # Copies overlap: their opacities would add up to sqrt(2 pi) alpha.
+    # Copies overlap: their opacities would add up to sqrt(2 pi) alpha. This is exact on the streak's axis; beside it,
+    # where alpha is large, they add up to more than they should: a smaller width keeps the integral.
     opacity = 1 - (1 - alpha) ** (1 / np.sqrt(2 * np.pi))
+    narrowing = alpha / np.maximum(np.sqrt(2 * np.pi) * opacity, 1e-30)
+    across_sigma = np.sqrt(np.pi / 32) * np.maximum(diameters_m, depth / shutter.focal_px) * narrowing
+    along_sigma = np.maximum(length / copies, across_sigma)
 
     blur = circle_of_confusion_m(depth, rain) / 4
     sine = across / np.maximum(speed, 1e-9)

@@ -72,7 +72,8 @@ def _fill(positions, diameters, velocities, camera_velocity, world_to_camera, ey
             length = speed * exposure
             ratio = AXIS_RATIO_SLOPE * diameter_mm + AXIS_RATIO_OFFSET if diameter_mm > 1 else 1.0
             copies = int(min(max(np.rint(length / (ratio * diameter)), 1), most))
-            across_sigma = np.sqrt(np.pi / 32) * max(diameter, depth / focal)
+            narrowing = alpha / max(np.sqrt(2 * np.pi) * opacity, 1e-30)
+            across_sigma = np.sqrt(np.pi / 32) * max(diameter, depth / focal) * narrowing
             along_sigma = max(length / copies, across_sigma)
             if aperture > 0:
                 blur = aperture * abs(1 - depth / focus) / 4

@@ -12,12 +12,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-from scipy import special
 
 from gsrain_engine.scene.atomic_files import whole_file
 
 from ..calibration import Interval, atlas_velocity, load_calibration
-from ..drop_sizes import LARGEST_MM, SMALLEST_MM
+from ..drop_sizes import LARGEST_MM, SMALLEST_MM, DropSizes
 from .axis_ratio import AxisRatios
 from .result import FittedCalibration, FittedRow
 
@@ -99,10 +98,7 @@ def _draw_spectra(axes: Axes, fitted: FittedCalibration) -> None:
 
 def _law(each: FittedRow, d: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
     """N p(D) of the gamma law cut to [0.1, 8] mm, in 1/(m^3 mm)."""
-    shape, scale = each.row.shape, each.row.scale_mm
-    low, high = special.gammainc(shape, np.array([SMALLEST_MM, LARGEST_MM]) / scale)
-    log_density = (shape - 1) * np.log(d / scale) - d / scale - special.gammaln(shape)
-    return each.row.density_m3 * np.exp(log_density) / (scale * (high - low))
+    return each.row.density_m3 * DropSizes(each.row.shape, each.row.scale_mm).probability_per_mm(d)
 
 
 def _spread(rows: tuple[FittedRow, ...]) -> list[FittedRow]:
