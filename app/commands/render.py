@@ -50,6 +50,10 @@ class RainOptions:
         Literal["density", "published"] | None,
         Parameter(help="density: as many drops as the intensity needs; published: the paper's table as it is."),
     ] = None
+    calibration: Annotated[
+        str | None, Parameter(help="Name of a shipped calibration, or a file that gsrain calibrate wrote.")
+    ] = None
+    roofs: Annotated[bool | None, Parameter(help="Keep rain from under bridges, canopies and trees.")] = None
     haze: Annotated[bool | None, Parameter(help="Draw far drops as haze.")] = None
     streaks: Annotated[bool | None, Parameter(help="Draw near drops as streaks.")] = None
 
@@ -64,6 +68,8 @@ class RainOptions:
             "seed": self.seed,
             "exposure_s": self.exposure,
             "closure": self.closure,
+            "calibration": self.calibration,
+            "roofs": self.roofs,
             "haze": self.haze,
             "streaks": self.streaks,
         }

@@ -70,6 +70,16 @@ def test_no_rain_is_byte_identical_to_zero_rain(room, tmp_path):
     assert some != zero
 
 
+def test_another_calibration_is_other_rain(room, tmp_path):
+    drops: list[int] = []
+    for name in ("published", "locarno_2018"):
+        numbers = tmp_path / f"{name}.json"
+        options = ["--rain", "8.5", "--calibration", name, "--roofs", "--json", str(numbers)]
+        assert render(room, tmp_path / f"{name}.png", *options) == 0
+        drops.append(json.loads(numbers.read_text())["drops"])
+    assert drops[1] < 0.4 * drops[0]  # fewer, and larger ones
+
+
 def test_frame_40_alone_is_frame_40_of_the_sequence(room, tmp_path):
     folder = tmp_path / "frames"
     assert render(room, folder, "--rain", "8.5", "--fps", "10", "--duration", "4.2") == 0
@@ -174,6 +184,7 @@ def test_doctor_finds_what_it_needs(tmp_path, capsys):
         (["render", "{room}", "-o", "a.png", "--size", "960"], "--size 960: expected WIDTHxHEIGHT"),
         (["render", "{room}", "-o", "a.mp4", "--size", "95x64"], "even width"),
         (["render", "{room}", "-o", "a.png", "--preset", "drizzle"], "preset 'drizzle'"),
+        (["render", "{room}", "-o", "a.png", "--calibration", "drizzle"], "calibration 'drizzle'"),
         (["render", "{room}", "-o", "a.png", "--exposure", "2"], "exposure_s must be within"),
         (["render", "{room}", "-o", "a.png", "--fps", "0"], "--fps 0: must be within"),
         (["render", "{room}", "-o", "a.png", "--camera", "nowhere.json"], "nowhere.json"),
