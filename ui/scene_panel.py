@@ -17,9 +17,9 @@ def scene_panel(session: Session) -> None:
     flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop
     if imgui.begin_table("members", 3, flags):
         for layer in scene.layers:
-            _member(session, layer.name, layer.kind, len(layer.gaussians), layer.visible)
+            _member(session, layer.key, layer.name, layer.kind, len(layer.gaussians), layer.visible)
         for actor in scene.actors:
-            _member(session, actor.id, f"actor, {actor.class_name}", len(actor.gaussians), actor.visible)
+            _member(session, actor.key, actor.id, f"actor, {actor.class_name}", len(actor.gaussians), actor.visible)
         imgui.end_table()
     imgui.separator_text("View")
     view = session.view
@@ -53,13 +53,13 @@ def scene_panel(session: Session) -> None:
     )
 
 
-def _member(session: Session, name: str, kind: str, count: int, visible: bool) -> None:
+def _member(session: Session, key: str, name: str, kind: str, count: int, visible: bool) -> None:
     imgui.table_next_row()
     imgui.table_next_column()
     changed, shown = imgui.checkbox(f"{name}##{kind}", visible)
     imgui.set_item_tooltip("Show or hide.")
     if changed:
-        session.show_member(name, shown)
+        session.show_member(key, shown)
     imgui.table_next_column()
     imgui.text_disabled(kind)
     imgui.table_next_column()

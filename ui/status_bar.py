@@ -21,9 +21,9 @@ def status_bar(session: Session) -> None:
     if session.rain.exaggeration:
         imgui.same_line()
         imgui.text_colored(WARNING, session.rain.exaggeration)
-    if session.job is not None and session.job.state == "running":
+    for job in session.running_jobs:
         imgui.same_line()
-        imgui.text(f"  {session.job.title}: {100 * session.job.progress.fraction:.0f} %")
+        imgui.text(f"  {job.title}: {100 * job.progress.fraction:.0f} %")
     if session.busy is not None:
         imgui.same_line()
         imgui.text(f"  {session.busy}")

@@ -11,6 +11,9 @@ from gsrain_engine.session.session import Session, Split, ViewOptions
 
 from .divider import draw_divider
 from .notice import draw_notice
+from .overlays import OVERLAYS
+from .tools import TOOLS
+from .viewport import Viewport
 
 TexturesOf = Callable[[int, int], list[int]]
 """Draws the session for a size in pixels and returns the OpenGL names of its sides, from left to right."""
@@ -49,8 +52,15 @@ def viewport_panel(session: Session, textures_of: TexturesOf) -> None:
     imgui.set_next_item_allow_overlap()
     flags = imgui.ButtonFlags_.mouse_button_left | imgui.ButtonFlags_.mouse_button_right
     imgui.invisible_button("view", ImVec2(width, height), flags | imgui.ButtonFlags_.mouse_button_middle)
+    hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
+    viewport = Viewport(corner, width, height, session.shot(width, height), hovered, active)
+    imgui.get_window_draw_list().push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height), True)
+    taken = [overlay(session, viewport) for overlay in OVERLAYS]
+    tool = next((each for each in TOOLS if each.name == session.view.tool), None)
+    is_taken = any(taken) or (tool is not None and tool.draw(session, viewport))
     _outlines(session, corner, width, height)
-    _mouse(session, height)
+    imgui.get_window_draw_list().pop_clip_rect()
+    _mouse(session, viewport, is_taken)
     _keyboard(session)
     draw_notice(session, corner, width, height)
 
@@ -95,18 +105,18 @@ def _choice(
 
 def _outlines(session: Session, corner: ImVec2, width: int, height: int) -> None:
     draw = imgui.get_window_draw_list()
-    draw.push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height), True)
     for outline in region_outlines(session, width, height):
         color = imgui.get_color_u32(_OUTLINE[outline.name])
         for (x0, y0), (x1, y1) in outline.lines_px.tolist():
             draw.add_line(ImVec2(corner.x + x0, corner.y + y0), ImVec2(corner.x + x1, corner.y + y1), color, 1.5)
-    draw.pop_clip_rect()
 
 
-def _mouse(session: Session, height: int) -> None:
+def _mouse(session: Session, viewport: Viewport, is_taken: bool) -> None:
     navigation, io = session.navigation, imgui.get_io()
-    if imgui.is_item_active():
+    if viewport.active:
         moved = io.mouse_delta
+        if is_taken and imgui.is_mouse_down(imgui.MouseButton_.left):
+            return
         if moved.x or moved.y:
             session.view.follow_path = False
         if imgui.is_mouse_down(imgui.MouseButton_.left):
@@ -114,8 +124,8 @@ def _mouse(session: Session, height: int) -> None:
         elif imgui.is_mouse_down(imgui.MouseButton_.right):
             navigation.turn(-moved.x * _RADIANS_PER_PIXEL, -moved.y * _RADIANS_PER_PIXEL)
         elif imgui.is_mouse_down(imgui.MouseButton_.middle):
-            navigation.pan(-moved.x / height, moved.y / height)
-    if imgui.is_item_hovered() and io.mouse_wheel:
+            navigation.pan(-moved.x / viewport.height, moved.y / viewport.height)
+    if viewport.hovered and io.mouse_wheel:
         if io.key_ctrl:
             navigation.change_speed(io.mouse_wheel)
         else:

@@ -11,8 +11,9 @@ from scipy.ndimage import maximum_filter, rank_filter
 
 from gsrain_engine.scene.bounds import robust_bounds
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.members import Layer, Part
 from gsrain_engine.scene.rotations import matrices_from_quaternions
-from gsrain_engine.scene.scene import Layer, Part, Scene
+from gsrain_engine.scene.scene import Scene
 
 CELL_M = 0.5
 """Edge of a cell: about the distance between the Gaussians of a captured surface, and less than any canopy."""
@@ -101,6 +102,7 @@ def find_roofs(parts: Sequence[Part]) -> Roofs | None:
     surface, and from below the lowest. The highest is a roof if it is `CLEARANCE_M` above the lowest, and belongs to a
     patch: seven of nine cells around it or around a neighbour. So a wall, a lamp post or a lone floater is none.
     """
+    parts = [part._replace(gaussians=part.remaining, left_out=None) for part in parts]
     parts = [part for part in parts if len(part.gaussians)]
     if not parts:
         return None

@@ -10,7 +10,7 @@ from gsrain_engine.render.frame import Frame
 from gsrain_engine.render.look import Look
 from gsrain_engine.render.statistics import RenderStatistics, Stopwatch
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 from .freed_memory import keep_freed_memory
 from .look_colors import in_colors_of

@@ -8,8 +8,8 @@ from jaxtyping import Float64
 
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.members import Part
 from gsrain_engine.scene.rotations import quaternions_from_matrices
-from gsrain_engine.scene.scene import Part
 
 from .projection import eye_in_object
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 if TYPE_CHECKING:
     from .cuda_renderer import CudaRenderer

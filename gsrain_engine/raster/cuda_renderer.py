@@ -18,7 +18,7 @@ from gsrain_engine.render.frame import Frame
 from gsrain_engine.render.look import Look
 from gsrain_engine.render.statistics import RenderStatistics, Stopwatch
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 from .cuda_arrays import CameraSpace, CudaArrays, Tensor
 from .cuda_rain import edge_colors, in_rain

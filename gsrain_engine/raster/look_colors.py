@@ -10,7 +10,7 @@ import numpy as np
 from gsrain_engine.render.heat_colors import heat_colors, layer_color
 from gsrain_engine.render.look import Look
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 from .splats import Splats
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 from .spherical_harmonics import sh_basis
 from .splats import LOG_RAIN_CUT, LOG_SCENE_CUT, RAIN_ALPHA_CUT, Splats

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float32
 
 from gsrain_engine.render.frame import Frame
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 from .compositing import composite
 from .projection import project

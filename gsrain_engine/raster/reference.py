@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.members import Part
 from gsrain_engine.scene.rotations import matrices_from_quaternions
-from gsrain_engine.scene.scene import Part
 from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
 
 NEAR_M, DILATION_PX2, MAX_ALPHA, MIN_TRANSMITTANCE = 0.2, 0.3, 0.999, 1e-4

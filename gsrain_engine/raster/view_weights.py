@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 from .accumulation import accumulate
 from .compositing import composite

@@ -86,12 +86,13 @@ def _robust_extent(scene: Scene) -> tuple[Float[np.ndarray, "3"], float]:
 
     In metres; sky is left out; the middle is at eye height where the ground is known.
     """
-    layers = [layer.gaussians for layer in scene.layers if layer.visible and layer.kind != "sky"]
-    means = np.concatenate([np.zeros((0, 3), np.float32), *(each.means for each in layers)])
-    means = means[np.isfinite(means).all(axis=1)]
-    if not len(means):
+    layers = [layer for layer in scene.layers if layer.visible and layer.kind != "sky"]
+    parts = [part for layer in layers if (part := scene.part(layer)) is not None]
+    places = [part.remaining.means @ part.to_world[:3, :3].T + part.to_world[:3, 3] for part in parts]
+    points = np.concatenate([np.zeros((0, 3)), *places])
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points):
         return np.array([0.0, 0.0, EYE_HEIGHT_M]), 1.0
-    points = means @ scene.scene_to_world[:3, :3].T
     low, high = np.quantile(points, [0.05, 0.95], axis=0)
     middle, reach = (low + high) / 2, float(np.linalg.norm(high - low) / 2)
     if scene.ground_m is not None:

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Int64
 
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Part, Scene
+from gsrain_engine.scene.members import Layer, Part
+from gsrain_engine.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,11 +31,10 @@ def scene_members(scene: Scene) -> list[Member]:
     """Layers first, then actors, in the scene's order, hidden ones too."""
     members: list[Member] = []
     first = 0
-    named = [(f"layers/{each.name}", each.gaussians, each.kind == "sky") for each in scene.layers]
-    named += [(f"actors/{each.id}", each.gaussians, False) for each in scene.actors]
-    for key, gaussians, is_sky in named:
-        members.append(Member(key, gaussians, is_sky, first))
-        first += len(gaussians)
+    for each in scene.members:
+        is_sky = isinstance(each, Layer) and each.kind == "sky"
+        members.append(Member(each.key, each.gaussians, is_sky, first))
+        first += len(each.gaussians)
     return members
 
 
@@ -52,30 +52,25 @@ class VisibleMembers:
 def visible_members(scene: Scene, members: list[Member], time_s: float) -> VisibleMembers:
     """Pick what can be seen at a time, with its way to the world."""
     placed = [
-        (member, to_world)
-        for member, to_world in zip(members, _ways_to_world(scene, time_s), strict=True)
-        if to_world is not None
+        (member, part)
+        for member, shown in zip(members, scene.members, strict=True)
+        if shown.visible and (part := scene.part(shown, time_s)) is not None
     ]
     none = np.zeros(0, np.int64)
     return VisibleMembers(
         [member for member, _ in placed],
-        [Part(member.gaussians, to_world) for member, to_world in placed],
+        [part for _, part in placed],
         np.concatenate([none, *(np.arange(len(member.gaussians)) + member.first for member, _ in placed)]),
         np.concatenate([none > 0, *(np.full(len(member.gaussians), member.is_sky) for member, _ in placed)]),
     )
 
 
-def _ways_to_world(scene: Scene, time_s: float) -> list[Float64[np.ndarray, "4 4"] | None]:
-    to_world = scene.scene_to_world
-    ways = [to_world if layer.visible else None for layer in scene.layers]
-    for actor in scene.actors:
-        pose = actor.track.pose(time_s) if actor.visible else None
-        ways.append(None if pose is None else to_world @ pose)
-    return ways
-
-
 def world_heights(scene: Scene, member: Member) -> Float32[np.ndarray, " n"]:
     """World z of a layer's Gaussians in metres; for an actor, z above its own bottom, as if it stood at height 0."""
-    to_world = scene.scene_to_world
-    up = to_world[2, :3] if member.key.startswith("layers/") else np.array([0, 0, scene.metres_per_unit])
-    return (member.gaussians.means @ up).astype(np.float32)
+    shown = scene.member(member.key)
+    if isinstance(shown, Layer):
+        to_world = scene.scene_to_world @ shown.to_scene
+        up, offset = to_world[2, :3], to_world[2, 3]
+    else:
+        up, offset = np.array([0, 0, scene.metres_per_unit]), 0.0
+    return (member.gaussians.means @ up + offset).astype(np.float32)

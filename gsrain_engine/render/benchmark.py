@@ -95,7 +95,7 @@ class _Run:
             width=sequence.width,
             height=sequence.height,
             intensity_mm_h=sequence.rainfall.state.intensity_mm_h,
-            sh_degree=max((each.gaussians.sh_degree for each in (*scene.layers, *scene.actors)), default=0),
+            sh_degree=max((each.gaussians.sh_degree for each in scene.members), default=0),
             gaussians=sum(part.drawn_count for part in scene.parts(sequence.time_s(frames - 1))),
             splats=splats,
             drops_drawn=self.last.drops_drawn,

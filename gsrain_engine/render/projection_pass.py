@@ -9,7 +9,7 @@ import numpy as np
 from gsrain_engine.rain.falling_rain import FallingRain
 from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 from .depth_sort import KEYS, KEYS_BY_GROUP, SLOTS, DepthSort
 from .drop_pass import DropPass, streak_slots

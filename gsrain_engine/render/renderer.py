@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 from gsrain_engine.rain.falling_rain import FallingRain
 from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 from .frame import Frame
 from .look import Look

@@ -39,13 +39,14 @@ def draw_shot(
     with_depth: bool = False,
     look: Look = "splats",
     thinning: Thinning | None = None,
+    selection: bool = False,
 ) -> None:
     """Draw a scene in its rain into the renderer's picture, or with another look without it.
 
-    `thinning` leaves out some of each part's Gaussians.
+    `thinning` leaves out some of each part's Gaussians; `selection` tints those that are selected.
     """
     falling = rain_in(scene, rainfall, sky, shot) if look == "splats" else None
-    parts = scene.parts(shot.time_s)
+    parts = scene.parts(shot.time_s, selection=selection)
     if thinning is not None:
         parts = [thinning(part) for part in parts]
     renderer.draw(parts, shot.camera, falling, with_depth=with_depth, look=look)

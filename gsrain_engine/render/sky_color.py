@@ -1,5 +1,6 @@
 """The colour of a scene's sky, which is that of its drops (paper, eq. 3): taken once, the same for every camera."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -31,16 +32,15 @@ def sky_color(renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0
     there is neither, drops take the colour of an overcast sky.
     """
     found: list[np.ndarray] = []
-    sky = [layer.gaussians for layer in scene.layers if layer.kind == "sky" and layer.visible]
+    sky = [layer for layer in scene.layers if layer.kind == "sky" and layer.visible]
+    without_sky = replace(scene, layers=tuple(layer for layer in scene.layers if layer.kind != "sky"))
     for camera in _look_around(place):
-        parts = scene.parts(time_s)
-        renderer.draw(parts, camera, with_depth=True)
+        renderer.draw(scene.parts(time_s), camera, with_depth=True)
         frame = renderer.read()
         assert frame.depth is not None
         alpha = frame.rgba[..., 3]
         if sky:
-            others = [part for part in parts if not any(part.gaussians is each for each in sky)]
-            renderer.draw(others, camera)
+            renderer.draw(without_sky.parts(time_s), camera)
             mask = (renderer.read().rgba[..., 3] < 0.05) & (alpha > 0.5)
         else:
             mask = (alpha > 0.5) & (frame.depth > _FAR_M) & (np.arange(_HEIGHT)[:, None] < _horizon_row(camera))

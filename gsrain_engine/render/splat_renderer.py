@@ -11,7 +11,7 @@ from gsrain_engine.rain.falling_rain import FallingRain
 from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 from .context import is_software
 from .depth_sort import SLOTS, DepthSort

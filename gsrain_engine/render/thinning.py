@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from gsrain_engine.scene.drawing_order import growth_of
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 
 @dataclass(slots=True)

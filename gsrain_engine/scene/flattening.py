@@ -1,9 +1,13 @@
 """One set of Gaussians made of a whole scene, for files that know neither actors nor units."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float64
 
 from .gaussians import Gaussians
+from .grading import graded
+from .members import Part
 from .rotations import quaternion_product, quaternions_from_matrices
 from .scene import Scene, rotation_to_z_up
 from .spherical_harmonics import rotate_sh
@@ -41,4 +45,12 @@ def flattened(scene: Scene, time_s: float = 0.0) -> Gaussians:
     """
     world_to_file = np.eye(4)
     world_to_file[:3, :3] = rotation_to_z_up(FILE_UP).T
-    return Gaussians.concatenate([moved(part.gaussians, world_to_file @ part.to_world) for part in scene.parts(time_s)])
+    return Gaussians.concatenate([moved(_baked(part), world_to_file @ part.to_world) for part in scene.parts(time_s)])
+
+
+def _baked(part: Part) -> Gaussians:
+    """What remains of a part, with its opacity and grading in the Gaussians themselves."""
+    gaussians = part.remaining
+    if part.opacity != 1:
+        gaussians = replace(gaussians, opacities=gaussians.opacities * np.float32(part.opacity))
+    return gaussians if part.colors is None else gaussians.with_sh(graded(gaussians.sh, part.colors))

@@ -8,7 +8,8 @@ from .camera import Camera
 from .drawing_order import put_into_drawing_order
 from .errors import SceneFormatError
 from .gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
-from .scene import Layer, Scene
+from .members import Layer
+from .scene import Scene
 
 _NAME = re.compile(r"random-([1-9]\d*)(k|m|)")
 _MOST = 20_000_000

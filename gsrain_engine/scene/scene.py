@@ -1,67 +1,17 @@
-"""A scene: named layers of Gaussians, actors that move along tracks, and how the scene lies in the world."""
+"""A scene: layers and actors, and how they lie in the world; with what else a scene folder holds."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
-from .gaussians import Gaussians
-from .rotations import matrices_from_quaternions
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Layer:
-    """Gaussians that stand still, in scene units and axes."""
-
-    name: str
-    gaussians: Gaussians
-    kind: Literal["background", "sky"] = "background"
-    visible: bool = True
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Track:
-    """Where an actor is over time: samples, linear and slerp between them. Outside its times it stays put."""
-
-    times: Float64[np.ndarray, " t"]
-    """Seconds, rising."""
-    positions: Float64[np.ndarray, "t 3"]
-    """Bottom centre of the object, in scene units and axes."""
-    quaternions_wxyz: Float64[np.ndarray, "t 4"]
-    """Object (x forward, y left, z up) to scene axes, unit."""
-    valid: Bool[np.ndarray, " t"]
-    """Whether the object is in the scene from this sample to the next."""
-
-    def pose(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
-        """Object to scene at a time, or None while the object is not there."""
-        if not len(self.times):
-            return None
-        lower = max(int(np.searchsorted(self.times, time_s, side="right")) - 1, 0)
-        upper = min(lower + 1, len(self.times) - 1)
-        if not self.valid[lower]:
-            return None
-        span = self.times[upper] - self.times[lower]
-        part = float(np.clip((time_s - self.times[lower]) / span, 0, 1)) if span > 0 else 0.0
-        matrix = np.eye(4)
-        matrix[:3, :3] = matrices_from_quaternions(
-            _slerp(self.quaternions_wxyz[lower], self.quaternions_wxyz[upper], part)
-        )
-        matrix[:3, 3] = (1 - part) * self.positions[lower] + part * self.positions[upper]
-        return matrix
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Actor:
-    """A thing that moves: Gaussians in its own frame (x forward, y left, z up, origin at the bottom centre)."""
-
-    id: str
-    class_name: str
-    size_lwh: tuple[float, float, float]
-    gaussians: Gaussians
-    track: Track
-    visible: bool = True
+from .camera_path import CameraPath
+from .grading import UNCHANGED
+from .mask import Mask
+from .members import Actor, Layer, Part
+from .track import Track
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,22 +27,6 @@ class RigCamera:
     cy: float
     camera_to_ego: Float64[np.ndarray, "4 4"]
     exposure_s: float
-
-
-class Part(NamedTuple):
-    """What a renderer draws: Gaussians, and the similarity that takes them to the world (metres, z up)."""
-
-    gaussians: Gaussians
-    to_world: Float64[np.ndarray, "4 4"]
-    limit: int | None = None
-    """Draw only the first so many of them; none draws all."""
-    growth: float = 1.0
-    """Draw them so many times larger, to fill in for those that are left out."""
-
-    @property
-    def drawn_count(self) -> int:
-        """How many are drawn."""
-        return len(self.gaussians) if self.limit is None else min(self.limit, len(self.gaussians))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,8 +48,16 @@ class Scene:
     rigs: Mapping[str, tuple[RigCamera, ...]] = field(default_factory=dict[str, tuple[RigCamera, ...]])
     ego: Track | None = None
     """Where the ego vehicle drives: the origin of the rig frame, which is at sensor height."""
+    path: CameraPath | None = None
+    """The flight that a person has made, in scene units and axes."""
     rain: Mapping[str, Any] | None = None
     """The rain that was set when the scene was saved, as plain values."""
+    weather: Mapping[str, Any] | None = None
+    """How that rain changes over time, as plain values."""
+    view: Mapping[str, Any] | None = None
+    """From where it was looked at when it was saved, as plain values."""
+    selections: Mapping[str, Mapping[str, Mask]] = field(default_factory=dict[str, Mapping[str, Mask]])
+    """Selection sets by name; each by the keys of members."""
 
     @property
     def scene_to_world(self) -> Float64[np.ndarray, "4 4"]:
@@ -125,19 +67,47 @@ class Scene:
         return matrix
 
     @property
-    def gaussian_count(self) -> int:
-        """Gaussians in all layers and actors, visible or not."""
-        return sum(len(each.gaussians) for each in (*self.layers, *self.actors))
+    def members(self) -> tuple[Layer | Actor, ...]:
+        """Layers first, then actors, visible or not."""
+        return (*self.layers, *self.actors)
 
-    def parts(self, time_s: float = 0.0) -> list[Part]:
-        """What can be seen at a time: visible layers first, then actors, each with its way to the world."""
-        to_world = self.scene_to_world
-        parts = [Part(layer.gaussians, to_world) for layer in self.layers if layer.visible]
-        for actor in self.actors:
-            pose = actor.track.pose(time_s) if actor.visible else None
-            if pose is not None:
-                parts.append(Part(actor.gaussians, to_world @ pose))
-        return parts
+    def member(self, key: str) -> Layer | Actor:
+        """Find a member by its key; raises `KeyError` where there is none."""
+        for each in self.members:
+            if each.key == key:
+                return each
+        raise KeyError(key)
+
+    def with_member(self, key: str, **fields: Any) -> "Scene":
+        """Return the scene with fields of one member replaced."""
+        layers = tuple(replace(each, **fields) if each.key == key else each for each in self.layers)
+        actors = tuple(replace(each, **fields) if each.key == key else each for each in self.actors)
+        return replace(self, layers=layers, actors=actors)
+
+    @property
+    def gaussian_count(self) -> int:
+        """Gaussians in all layers and actors, visible or not, without the deleted ones."""
+        deleted = sum(each.marks.deleted.size for each in self.members if each.marks.deleted is not None)
+        return sum(len(each.gaussians) for each in self.members) - deleted
+
+    def parts(self, time_s: float = 0.0, *, selection: bool = False) -> list[Part]:
+        """What can be seen at a time: layers first, then actors. `selection` has the selected ones tinted."""
+        parts = [self.part(each, time_s, selection=selection) for each in self.members if each.visible]
+        return [part for part in parts if part is not None]
+
+    def part(self, member: Layer | Actor, time_s: float = 0.0, *, selection: bool = False) -> Part | None:
+        """What of a member is drawn at a time; None while it is not there."""
+        way = member.way(time_s)
+        if way is None:
+            return None
+        return Part(
+            member.gaussians,
+            self.scene_to_world @ way,
+            left_out=member.marks.left_out,
+            selected=member.marks.selected if selection else None,
+            opacity=member.opacity,
+            colors=None if member.grading == UNCHANGED else member.grading.matrix,
+        )
 
     def ego_to_world(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
         """Pose of the ego vehicle in metres, without scale; None where the scene has none at that time."""
@@ -147,13 +117,6 @@ class Scene:
         matrix = self.scene_to_world @ pose
         matrix[:3, :3] /= self.metres_per_unit
         return matrix
-
-    def with_layer(self, name: str, gaussians: Gaussians) -> "Scene":
-        """Return the scene with the Gaussians of one layer replaced."""
-        if name not in [layer.name for layer in self.layers]:
-            raise ValueError(f"scene {self.name!r} has no layer {name!r}")
-        layers = tuple(replace(layer, gaussians=gaussians) if layer.name == name else layer for layer in self.layers)
-        return replace(self, layers=layers)
 
 
 def rotation_to_z_up(up: tuple[float, float, float]) -> Float64[np.ndarray, "3 3"]:
@@ -167,16 +130,3 @@ def rotation_to_z_up(up: tuple[float, float, float]) -> Float64[np.ndarray, "3 3
     v = np.cross(u, [0.0, 0.0, 1.0])
     cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
     return np.eye(3) + cross + cross @ cross / (1 + u[2])
-
-
-def _slerp(start: Float64[np.ndarray, "4"], end: Float64[np.ndarray, "4"], part: float) -> Float64[np.ndarray, "4"]:
-    """Spherical linear interpolation of unit quaternions along the shorter way (Shoemake, 1985)."""
-    cosine = float(start @ end)
-    if cosine < 0:
-        end, cosine = -end, -cosine
-    if cosine > 0.9995:  # nearly equal: the sine below would divide by nothing
-        mixed = (1 - part) * start + part * end
-    else:
-        angle = np.arccos(cosine)
-        mixed = (np.sin((1 - part) * angle) * start + np.sin(part * angle) * end) / np.sin(angle)
-    return mixed / np.linalg.norm(mixed)

@@ -15,7 +15,7 @@ from gsrain_engine.render.look import Look
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.drawing_order import put_into_drawing_order
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 logger = logging.getLogger("gsrain")
 

@@ -5,7 +5,8 @@ from jaxtyping import Float64
 
 from gsrain_engine.scene.bounds import robust_bounds
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.camera_path import CameraPath, drive_path, orbit_path
+from gsrain_engine.scene.camera_path import CameraPath, orbit_path
+from gsrain_engine.scene.drive_path import drive_path
 from gsrain_engine.scene.scene import RigCamera, Scene
 
 _FOV_DEG = 50.0
@@ -49,10 +50,16 @@ def front_camera(scene: Scene) -> RigCamera | None:
 
 def scene_bounds(scene: Scene) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
     """Box in the world around most of what can be seen, without the sky and stray Gaussians."""
-    shown = [layer.gaussians for layer in scene.layers if layer.visible and layer.kind != "sky"]
-    shown += [actor.gaussians for actor in scene.actors if actor.visible and not shown]
-    low, high = robust_bounds(*shown)
-    to_world = scene.scene_to_world
-    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
-    corners = corners @ to_world[:3, :3].T + to_world[:3, 3]
-    return corners.min(axis=0), corners.max(axis=0)
+    shown = [each for each in scene.layers if each.visible and each.kind != "sky"] or [
+        each for each in scene.actors if each.visible
+    ]
+    parts = [part for each in shown if (part := scene.part(each)) is not None and len(part.remaining)]
+    corners = [
+        _corners(*robust_bounds(part.remaining)) @ part.to_world[:3, :3].T + part.to_world[:3, 3] for part in parts
+    ]
+    every = np.concatenate(corners) if corners else np.zeros((1, 3))
+    return every.min(axis=0), every.max(axis=0)
+
+
+def _corners(low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "8 3"]:
+    return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])

@@ -20,7 +20,8 @@ from gsrain_engine.render.thinning import Thinning
 
 from .cpu_picture import CpuPicture
 from .interaction_budget import EXACT, Detail
-from .session import Session, Side, StagedScene, WindowBackend
+from .session import Session, Side, WindowBackend
+from .staged_scene import StagedScene
 
 logger = logging.getLogger("gsrain")
 
@@ -150,7 +151,14 @@ class LiveView:
             return False
         renderer, view = self._renderer, session.view
         draw_shot(
-            renderer, side.scene, side.rainfall, session.sky, shot, look=view.look, thinning=self._thinning(detail)
+            renderer,
+            side.scene,
+            side.rainfall,
+            session.sky,
+            shot,
+            look=view.look,
+            thinning=self._thinning(detail),
+            selection=view.show_selection and session.screenshot is None,
         )
         picture = self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture
         shown.texture = shown.screen.show(picture, view.background, 2.0**view.gain_ev)
@@ -195,7 +203,7 @@ class LiveView:
         too_large = self._cpu is not None and staged.scene.gaussian_count > _STAND_IN_GAUSSIANS
         if self._on_cpu or self._waits or too_large:
             return
-        for member in (*staged.scene.layers, *staged.scene.actors):
+        for member in staged.scene.members:
             yield from self._opengl.upload(member.gaussians)
 
     def _save_screenshot(self, textures: list[moderngl.Texture]) -> None:
@@ -251,5 +259,5 @@ def _fingerprint(session: Session, side: Side, shot: Shot) -> _Seen:
         shot.time_s if raining or side.scene.actors else 0.0,
         (camera.world_to_camera.tobytes(), camera.width, camera.height, camera.fx),
         velocity,
-        (view.background, view.gain_ev, view.look, view.harmonics),
+        (view.background, view.gain_ev, view.look, view.harmonics, view.show_selection),
     )

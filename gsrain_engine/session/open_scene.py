@@ -61,7 +61,7 @@ def _is_built_in(name: str | None) -> bool:
 
 
 def _put_into_order(scene: Scene) -> None:
-    for member in (*scene.layers, *scene.actors):
+    for member in scene.members:
         put_into_drawing_order(member.gaussians)
 
 

@@ -2,7 +2,6 @@
 
 import tempfile
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from gsrain_engine.reconstruct.preview_cameras import preview_cameras
 from gsrain_engine.reconstruct.rainy_preview import rainy_preview
 from gsrain_engine.reconstruct.recolored_file import read_recolored
 from gsrain_engine.scene.formats import read_scene
+from gsrain_engine.scene.marks import UNMARKED
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
@@ -36,23 +36,16 @@ def rainy_scene(scene: Scene) -> Iterator[tuple[Progress, Scene]]:
 
 def with_colors(scene: Scene, colors: Mapping[str, Float32[np.ndarray, "n k 3"]]) -> Scene:
     """Return the scene in other colours, by `layers/NAME` and `actors/ID`; what is not named keeps its own."""
-    layers = tuple(
-        replace(each, gaussians=each.gaussians.with_sh(colors.get(f"layers/{each.name}", each.gaussians.sh)))
-        for each in scene.layers
-    )
-    actors = tuple(
-        replace(each, gaussians=each.gaussians.with_sh(colors.get(f"actors/{each.id}", each.gaussians.sh)))
-        for each in scene.actors
-    )
-    return replace(scene, layers=layers, actors=actors)
+    for key, sh in colors.items():
+        scene = scene.with_member(key, gaussians=scene.member(key).gaussians.with_sh(sh))
+    return scene
 
 
 def with_gaussians_of(scene: Scene, other: Scene) -> Scene:
     """Return the scene with the Gaussians of another version of it; what only one of them has stays as it is."""
-    layers = {each.name: each.gaussians for each in other.layers}
-    actors = {each.id: each.gaussians for each in other.actors}
-    return replace(
-        scene,
-        layers=tuple(replace(each, gaussians=layers.get(each.name, each.gaussians)) for each in scene.layers),
-        actors=tuple(replace(each, gaussians=actors.get(each.id, each.gaussians)) for each in scene.actors),
-    )
+    given = {each.key: each.gaussians for each in other.members}
+    for each in scene.members:
+        new = given.get(each.key, each.gaussians)
+        marks = each.marks if len(new) == len(each.gaussians) else UNMARKED
+        scene = scene.with_member(each.key, gaussians=new, marks=marks)
+    return scene

@@ -4,6 +4,7 @@ import shutil
 import tempfile
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gsrain_engine.reconstruct.recolored_file import read_recolored
 from gsrain_engine.scene.formats import write_scene
@@ -12,13 +13,17 @@ from gsrain_engine.scene.scene import Scene
 
 from .jobs import Job, JobState
 from .rainy_look import make_rainy, with_colors
+from .staged_scene import StagedScene
+
+if TYPE_CHECKING:
+    from .session import Session
 
 TITLE = "Make it rainy (preview)"
 _SCENE, _COLORS = "scene", "colors.npz"
 
 
 class RainyLookJob:
-    """One run of the job. Call `poll` once a frame; `result` is there when `state` is finished."""
+    """One run of the job, a `BackgroundJob`."""
 
     def __init__(self, scene: Scene, files: ThreadPoolExecutor) -> None:
         """Start on a scene; `files` is where reading and writing happens."""
@@ -28,15 +33,14 @@ class RainyLookJob:
         self.progress = Progress(0.0, "Saving the scene for the worker")
         self.error: str | None = None
         self.details: str | None = None
-        self.result: Scene | None = None
         self._files = files
         self._saving: Future[Path] | None = files.submit(_save, scene)
         self._folder: Path | None = None
         self._worker: Job | None = None
         self._loading: Future[Scene] | None = None
 
-    def poll(self) -> None:
-        """Go on to the next stage when the present one is through; never waits."""
+    def poll(self, session: "Session") -> None:
+        """Go on to the next stage when the present one is through; never waits. The result is staged at the end."""
         if self.state != "running":
             return
         try:
@@ -47,7 +51,8 @@ class RainyLookJob:
             if self._worker is not None:
                 self._follow(self._worker)
             if self._loading is not None and self._loading.done():
-                self.result = self._loading.result()
+                if not session.is_opening:  # else it would take the place of the scene that comes
+                    session.stage(StagedScene(self.title, self._loading.result()))
                 self._end("finished")
         except Exception as error:  # whatever a disk or a worker can do: the window lives on
             self.error = str(error)

@@ -25,6 +25,7 @@ from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.scene import Scene
 
+from .background_job import BackgroundJob
 from .clock import Clock
 from .history import Document, History
 from .home_camera import default_path, home_camera, scene_bounds
@@ -35,6 +36,7 @@ from .open_scene import open_to_draw
 from .rain_lab import RainLab
 from .rainy_look import with_gaussians_of
 from .rainy_look_job import RainyLookJob
+from .staged_scene import StagedScene
 
 logger = logging.getLogger("gsrain")
 
@@ -68,16 +70,10 @@ class ViewOptions:
     """Where the left one ends, as a share of the width."""
     harmonics: Harmonics = "half"
     """How colours lie on the GPU."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StagedScene:
-    """A new scene that is shown as soon as its Gaussians are on the GPU."""
-
-    label: str
-    scene: Scene
-    is_opened: bool = False
-    """Whether it takes the place of the present document instead of being a step of it."""
+    show_selection: bool = True
+    """Tint what is selected."""
+    tool: str = ""
+    """Name of the viewport's tool; none is plain navigation."""
 
 
 class Side(NamedTuple):
@@ -101,7 +97,8 @@ class Session:
         self.log = LogLines()
         logger.setLevel(logging.INFO)
         logger.addHandler(self.log)
-        self.job: RainyLookJob | None = None
+        self.jobs: list[BackgroundJob] = []
+        """Those that run and those that have ended, in the order of their start, until a person clears them."""
         self.staged: StagedScene | None = None
         self.sky: Color = OVERCAST
         self.sky_is_stale = True
@@ -185,12 +182,10 @@ class Session:
         self.history.record(label, self.history.present.with_scene(scene), gesture)
         self._follow_document()
 
-    def show_member(self, name: str, visible: bool) -> None:
-        """Show or hide a layer (by name) or an actor (by id)."""
-        layers = tuple(replace(x, visible=visible) if x.name == name else x for x in self.scene.layers)
-        actors = tuple(replace(x, visible=visible) if x.id == name else x for x in self.scene.actors)
+    def show_member(self, key: str, visible: bool) -> None:
+        """Show or hide a layer or an actor."""
         verb = "Show" if visible else "Hide"
-        self.set_scene(f"{verb} {name}", replace(self.scene, layers=layers, actors=actors))
+        self.set_scene(f"{verb} {self.scene.member(key).name}", self.scene.with_member(key, visible=visible))
 
     def end_gesture(self) -> None:
         """Say that a drag is over."""
@@ -246,20 +241,36 @@ class Session:
     @property
     def is_working(self) -> bool:
         """Whether anything goes on in the background that a frame should look after."""
-        job = self.job is not None and self.job.state == "running"
-        return job or self.busy is not None or self.staged is not None or self.lab.busy is not None
+        return bool(self.running_jobs) or self.busy is not None or self.staged is not None or self.lab.busy is not None
 
-    # The job
+    # Jobs
+
+    @property
+    def running_jobs(self) -> list[BackgroundJob]:
+        """Jobs that have not ended."""
+        return [job for job in self.jobs if job.state == "running"]
+
+    def start(self, job: BackgroundJob) -> None:
+        """Look after a job from now on."""
+        self.jobs.append(job)
 
     def make_rainy(self) -> None:
         """Start the job "Make it rainy (preview)"; one at a time."""
-        if self.job is None or self.job.state != "running":
-            self.job = RainyLookJob(self.scene, self._files)
+        if not any(isinstance(job, RainyLookJob) for job in self.running_jobs):
+            self.start(RainyLookJob(self.scene, self._files))
 
-    def cancel_job(self) -> None:
-        """Stop the job."""
-        if self.job is not None:
-            self.job.cancel()
+    def clear_jobs(self) -> None:
+        """Forget the jobs that have ended."""
+        self.jobs = self.running_jobs
+
+    def stage(self, staged: StagedScene) -> None:
+        """Show a scene as soon as its Gaussians are where the next frame needs them."""
+        self.staged = staged
+
+    @property
+    def is_opening(self) -> bool:
+        """Whether another scene is about to take the place of this one."""
+        return self._opening is not None or (self.staged is not None and self.staged.is_opened)
 
     def swap_in(self) -> None:
         """Show the staged scene: its Gaussians are where the next frame needs them."""
@@ -282,12 +293,10 @@ class Session:
         if self.rain.roofs and (self._roofs is None or self._roofs[0] is not self.scene):
             self._roofs = self.scene, self._files.submit(roofs_of, self.scene)
         self.lab.poll()
-        if self.job is not None and self.job.state == "running":
-            self.job.poll()
-            if self.job.result is not None and not (self.staged is not None and self.staged.is_opened):
-                self.staged = StagedScene(self.job.title, self.job.result)
-            elif self.job.error is not None:
-                logger.error("%s failed: %s", self.job.title, self.job.error)
+        for job in self.running_jobs:
+            job.poll(self)
+            if job.error is not None:
+                logger.error("%s failed: %s", job.title, job.error)
 
     @property
     def sides(self) -> list[Side]:
@@ -338,7 +347,7 @@ class Session:
 
     def close(self) -> None:
         """Stop everything that runs."""
-        self.cancel_job()
+        self._cancel_jobs()
         if self._opening is not None:
             self._opening[1].cancel()
         self._files.shutdown()
@@ -390,8 +399,12 @@ class Session:
             else:
                 logger.info("Saved %s", target)
 
+    def _cancel_jobs(self) -> None:
+        for job in self.running_jobs:
+            job.cancel()
+
     def _go_to(self, scene: Scene) -> None:
-        self.cancel_job()
+        self._cancel_jobs()
         rain = self.rain
         try:
             rain = msgspec.convert(scene.rain, Rain) if scene.rain is not None else rain

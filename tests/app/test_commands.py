@@ -15,7 +15,8 @@ from app.command_line import BAD_INPUT, run
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.scene import Layer, Scene
+from gsrain_engine.scene.members import Layer
+from gsrain_engine.scene.scene import Scene
 
 
 @pytest.fixture(scope="module")

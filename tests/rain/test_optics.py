@@ -14,7 +14,7 @@ from gsrain_engine.rain.visible_streaks import make_visible_streaks
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
 
 FOCAL = 1000.0

@@ -13,7 +13,8 @@ from gsrain_engine.raster.cpu_renderer import CpuRenderer
 from gsrain_engine.render.scene_view import Shot, rain_in
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.scene import Layer, Part, Scene
+from gsrain_engine.scene.members import Layer, Part
+from gsrain_engine.scene.scene import Scene
 
 UP = np.array([0.0, 0, 1])
 SKY = (0.8, 0.8, 0.8)

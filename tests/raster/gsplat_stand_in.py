@@ -8,7 +8,7 @@ from gsrain_engine.raster.projection import project
 from gsrain_engine.raster.tiles import bin_into_tiles
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 
 def rasterization(

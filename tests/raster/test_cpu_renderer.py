@@ -11,7 +11,7 @@ from gsrain_engine.raster.reference import rasterize_in_linear_light_slowly, ras
 from gsrain_engine.raster.tiles import TILE
 from gsrain_engine.render.frame import Frame
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
 
 from .raster_scenes import random_gaussians, small_camera

@@ -20,7 +20,8 @@ from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.scene_view import Shot, draw_shot
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Layer, Part, Scene
+from gsrain_engine.scene.members import Layer, Part
+from gsrain_engine.scene.scene import Scene
 from raster.raster_scenes import random_gaussians, small_camera
 
 LEAST_PSNR_DB = 50.0

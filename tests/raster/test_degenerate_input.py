@@ -12,7 +12,7 @@ from gsrain_engine.raster.reference import rasterize_slowly
 from gsrain_engine.render.frame import Frame
 from gsrain_engine.render.look import Look
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 from .raster_scenes import random_gaussians, small_camera
 

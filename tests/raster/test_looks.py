@@ -12,7 +12,7 @@ from gsrain_engine.render.heat_colors import heat_colors, layer_color
 from gsrain_engine.render.look import FARTHEST_M, MOST_FRAGMENTS, NEAREST_M, Look
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 from .raster_scenes import random_gaussians, small_camera
 

@@ -13,7 +13,7 @@ from gsrain_engine.raster.rasterizer import rasterize
 from gsrain_engine.raster.reference import rasterize_slowly, sh_basis_slowly
 from gsrain_engine.scene.camera import Camera, look_at, read_camera
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 from .raster_scenes import random_gaussians, small_camera
 

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 
 from gsrain_engine.raster.projection import project
 from gsrain_engine.raster.tiles import TILE, bin_into_tiles
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 from .raster_scenes import random_gaussians, small_camera
 

@@ -8,7 +8,7 @@ from gsrain_engine.raster.reference import rasterize_slowly, sh_basis_slowly
 from gsrain_engine.raster.spherical_harmonics import harmonics
 from gsrain_engine.raster.view_weights import view_weights
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 from .raster_scenes import random_gaussians, small_camera
 

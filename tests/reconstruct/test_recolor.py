@@ -6,7 +6,7 @@ from gsrain_engine.raster.view_weights import view_weights
 from gsrain_engine.reconstruct.recolor import ColorTarget, apply_normal, colors_seen, solve_colors
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 
 
 def ball(count: int = 300, seed: int = 0) -> Part:

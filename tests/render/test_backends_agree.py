@@ -21,7 +21,8 @@ from gsrain_engine.render.splat_renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera, look_at, read_camera
 from gsrain_engine.scene.formats import read_scene
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Layer, Scene
+from gsrain_engine.scene.members import Layer
+from gsrain_engine.scene.scene import Scene
 
 LEAST_PSNR_DB = 50.0
 LARGEST_RAIN_DIFFERENCE = 0.05

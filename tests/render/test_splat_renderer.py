@@ -10,7 +10,7 @@ from gsrain_engine.render.depth_sort import DepthSort
 from gsrain_engine.render.splat_renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.members import Part
 from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)

@@ -5,10 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.camera_path import CameraPath, drive_path, orbit_path
+from gsrain_engine.scene.camera_path import CameraPath, orbit_path
 from gsrain_engine.scene.camera_path_files import read_camera_path, write_camera_path
+from gsrain_engine.scene.drive_path import drive_path
 from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.scene import RigCamera, Scene, Track
+from gsrain_engine.scene.scene import RigCamera, Scene
+from gsrain_engine.scene.track import Track
 
 LEVEL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # a camera that looks along +x, z up
 

@@ -9,9 +9,11 @@ from hypothesis import strategies as st
 
 from gsrain_engine.scene.flattening import FILE_UP, flattened, moved
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.members import Actor, Layer
 from gsrain_engine.scene.rotations import matrices_from_quaternions, normalized
-from gsrain_engine.scene.scene import Actor, Layer, Scene, Track
+from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.spherical_harmonics import evaluate_sh
+from gsrain_engine.scene.track import Track
 
 
 def sample(count: int, sh_degree: int = 3, seed: int = 1) -> Gaussians:

@@ -5,8 +5,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
+from gsrain_engine.scene.members import Actor, Layer
 from gsrain_engine.scene.rotations import matrices_from_quaternions, quaternion_product, quaternions_from_matrices
-from gsrain_engine.scene.scene import Actor, Layer, Scene, Track, rotation_to_z_up
+from gsrain_engine.scene.scene import Scene, rotation_to_z_up
+from gsrain_engine.scene.track import Track
 
 unit = (
     st.tuples(*[st.floats(-1, 1)] * 4)
@@ -95,9 +97,9 @@ def test_hidden_layers_are_not_drawn_and_unknown_ones_refused():
     scene = Scene("s", (Layer("a", some()), Layer("b", some(), visible=False)))
     assert len(scene.parts()) == 1
     assert scene.gaussian_count == 6
-    assert len(scene.with_layer("a", some(5)).layers[0].gaussians) == 5
-    with pytest.raises(ValueError, match="no layer 'c'"):
-        scene.with_layer("c", some())
+    assert len(scene.with_member("layers/a", gaussians=some(5)).layers[0].gaussians) == 5
+    with pytest.raises(KeyError, match="layers/c"):
+        scene.member("layers/c")
 
 
 def test_concatenation_pads_harmonics():

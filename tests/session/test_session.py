@@ -170,6 +170,6 @@ def test_roofs_are_found_behind_the_window_and_rain_falls_through_them_until_the
     wait(session.pending_files, timeout=60)
     assert session.busy is None
     assert session.sides[0].rainfall is session.rainfall
-    session.show_member(session.scene.layers[0].name, visible=False)  # another scene, as seen from above
+    session.show_member(session.scene.layers[0].key, visible=False)  # another scene, as seen from above
     assert session.busy == "Finding roofs"
     session.close()

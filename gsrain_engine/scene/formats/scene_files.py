@@ -6,7 +6,8 @@ from pathlib import Path
 from ..errors import SceneFormatError
 from ..flattening import FILE_UP, flattened
 from ..gaussians import Gaussians
-from ..scene import Layer, Scene
+from ..members import Layer
+from ..scene import Scene
 from .gaussian_files import close_match, format_of, read_gaussians, write_gaussians
 from .scene_folder import SCENE_FILE, read_scene_folder, write_scene_folder
 from .sog import read_sog

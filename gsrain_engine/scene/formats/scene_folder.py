@@ -114,8 +114,7 @@ def _write_all(scene: Scene, folder: Path, kept: set[Path]) -> set[Path]:
 
 def _members(scene: Scene) -> list[tuple[str, str, Gaussians]]:
     """Subfolder, name and Gaussians of all layers, then all actors."""
-    layers = [("layers", layer.name, layer.gaussians) for layer in scene.layers]
-    return layers + [("actors", actor.id, actor.gaussians) for actor in scene.actors]
+    return [(each.key.split("/")[0], each.name, each.gaussians) for each in scene.members]
 
 
 def _write_member(gaussians: Gaussians, folder: Path, index: int, name: str) -> Path:

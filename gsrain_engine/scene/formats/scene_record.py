@@ -10,8 +10,10 @@ from msgspec import Meta
 
 from ..camera import DEFAULT_EXPOSURE_S
 from ..gaussians import Gaussians
+from ..members import Actor, Layer
 from ..rotations import normalized
-from ..scene import Actor, Layer, RigCamera, Scene, Track
+from ..scene import RigCamera, Scene
+from ..track import Track
 
 SCENE_VERSION = 1
 """Raised when a field is added. Each field has a default that says what older files meant, so that they can be read."""
@@ -128,7 +130,7 @@ def scene_of(record: SceneRecord, gaussians: list[Gaussians]) -> Scene:
         raise ValueError(f"`$.up` must be a direction, not {list(record.up)}")
     return Scene(
         name=record.name,
-        layers=tuple(Layer(layer.name, next(given), layer.kind, layer.visible) for layer in record.layers),
+        layers=tuple(Layer(layer.name, next(given), layer.kind, visible=layer.visible) for layer in record.layers),
         actors=tuple(
             Actor(
                 actor.id,
@@ -136,7 +138,7 @@ def scene_of(record: SceneRecord, gaussians: list[Gaussians]) -> Scene:
                 actor.size_lwh,
                 next(given),
                 _track(actor.track, f"`$.actors[{i}].track`"),
-                actor.visible,
+                visible=actor.visible,
             )
             for i, actor in enumerate(record.actors)
         ),

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene import Actor, Layer, Scene, Track
+from ..members import Actor, Layer
+from ..scene import Scene
+from ..track import Track
 from .cars import CAR_FORMS, build_car, build_parked_cars, car_shadow
 from .daylight import Daylight
 from .furniture import build_furniture

@@ -1,0 +1,82 @@
+"""The real window under Xvfb, and what a hand on mouse and keyboard can do with it."""
+
+import os
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsrain_engine.session.session import Session
+from small_scene import small_scene
+
+if not (os.environ.get("DISPLAY") or shutil.which("Xvfb")):
+    pytest.skip("no display and no Xvfb (Debian: xvfb)", allow_module_level=True)
+
+testing = pytest.importorskip("imgui_bundle.immapp.testing")
+imgui = pytest.importorskip("imgui_bundle").imgui
+hello_imgui = pytest.importorskip("imgui_bundle").hello_imgui
+
+from app.window import Window  # noqa: E402
+
+
+class Driver:
+    """A window, and what a hand on mouse and keyboard can do."""
+
+    def __init__(self, tmp_path, scene=None, backend="auto"):
+        self.session = Session(scene or small_scene())
+        self.session.clock.playing = False
+        self.window = Window(lambda: self.session, backend)
+        self.folder = tmp_path
+        self.ctx = None
+
+    def run(self, script):
+        parameters = self.window.parameters()
+        parameters.ini_disable = True
+        parameters.app_window_params.window_geometry.size = (1100, 720)
+
+        def act(ctx):
+            self.ctx = ctx
+            engine = imgui.test_engine.get_io(hello_imgui.get_imgui_test_engine())
+            engine.config_watchdog_kill_test = engine.config_watchdog_warning = 600.0  # s; the machine may be busy
+            self.until(lambda: self.window.workspace is not None and self.view.is_settled, 100_000)
+            self.frames(3)
+            script()
+
+        testing.run(test_function=act, runner_params=parameters)
+
+    @property
+    def view(self):
+        return self.window.workspace.view
+
+    def frames(self, count=2):
+        for _ in range(count):
+            self.ctx.yield_()
+
+    def until(self, condition, most=4000):
+        for _ in range(most):
+            if condition():
+                return
+            self.ctx.yield_()
+        raise AssertionError("waited in vain")
+
+    def click(self, item):
+        self.ctx.window_focus("//" + item.split("/")[2])  # bring its tab to the front
+        self.frames()
+        self.ctx.item_click(item)
+        self.frames()
+
+    def drag(self, item, pixels):
+        self.ctx.item_drag_with_delta(item, pixels)
+        self.frames()
+
+    def press(self, chord):
+        self.ctx.key_press(chord)
+        self.frames()
+
+    def picture(self):
+        """What the viewport shows, by way of the screenshot a person would take."""
+        path = self.folder / f"picture{len(list(self.folder.iterdir()))}.png"
+        self.session.screenshot = path
+        self.until(path.exists)
+        return np.asarray(Image.open(path)).astype(int)

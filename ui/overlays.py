@@ -1,0 +1,12 @@
+"""What is drawn over the picture whatever tool is in use: the one table."""
+
+from collections.abc import Callable
+
+from gsrain_engine.session.session import Session
+
+from .viewport import Viewport
+
+Overlay = Callable[[Session, Viewport], bool]
+"""Draws into the window's draw list; returns whether the left mouse button is its own now (a handle is held)."""
+
+OVERLAYS: tuple[Overlay, ...] = ()
