@@ -72,6 +72,7 @@ class Window:
         callbacks = parameters.callbacks
         callbacks.post_init = self._start
         callbacks.setup_imgui_style = apply_style
+        callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
         callbacks.pre_new_frame = self._update
         callbacks.show_menus = lambda: self.workspace.draw_menus() if self.workspace else None
         callbacks.show_status = lambda: self.workspace.draw_status() if self.workspace else None

@@ -9,10 +9,13 @@ from gsrain_engine.rain.rain import Rain
 from gsrain_engine.session.clock import Pace
 from gsrain_engine.session.live_view import LiveView
 from gsrain_engine.session.session import Session, WindowBackend
+from ui.about_page import about_page
+from ui.action_keys import act_on_keys
+from ui.command_palette import CommandPalette
 from ui.file_dialogs import answer_dialogs
-from ui.menus import Menus
+from ui.keyboard_page import keyboard_page
+from ui.menus import draw_menus
 from ui.panels import PANELS
-from ui.shortcuts import chord, handle_shortcuts
 from ui.status_bar import status_bar
 from ui.viewport_panel import viewport_panel
 
@@ -36,7 +39,7 @@ class Workspace:
     def __init__(self, session: Session, context: moderngl.Context, backend: WindowBackend) -> None:
         self.session = session
         self.view = LiveView(context, session, backend)
-        self._menus = Menus(session)
+        self._palette = CommandPalette()
         self._pace = Pace()
         self._last_problem = ""
 
@@ -64,7 +67,7 @@ class Workspace:
 
     def draw_menus(self) -> None:
         """Draw into the menu bar."""
-        self._menus.draw()
+        draw_menus(self.session)
 
     def draw_status(self) -> None:
         """Draw into the status bar."""
@@ -72,13 +75,13 @@ class Workspace:
 
     def draw_viewport(self) -> None:
         """Draw the viewport, and act on keys."""
-        handle_shortcuts(self.session)
-        if imgui.is_key_chord_pressed(chord(imgui.Key.mod_ctrl, imgui.Key.o)):
-            self._menus.ask_what_to_open()
-        if imgui.is_key_chord_pressed(chord(imgui.Key.mod_ctrl, imgui.Key.s)):
-            self._menus.ask_where_to_save()
+        if not self.session.view.dialog:
+            act_on_keys(self.session)
         answer_dialogs()
         viewport_panel(self.session, self._textures)
+        self._palette.draw(self.session)
+        keyboard_page(self.session)
+        about_page(self.session)
 
     def _textures(self, width: int, height: int) -> list[int]:
         try:

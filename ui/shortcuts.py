@@ -1,8 +1,16 @@
-"""Keys that work everywhere in the window, unless a text field has them."""
+"""Keys as numbers that Dear ImGui understands, and as words that a person reads."""
 
 from imgui_bundle import imgui
 
-from gsrain_engine.session.session import Session
+_MODIFIERS = (
+    (imgui.Key.mod_ctrl, "Ctrl"),
+    (imgui.Key.mod_shift, "Shift"),
+    (imgui.Key.mod_alt, "Alt"),
+)
+_WORDS = {
+    "LeftBracket": "[", "RightBracket": "]", "Comma": ",", "Period": ".", "LeftArrow": "Left", "RightArrow": "Right",
+    "UpArrow": "Up", "DownArrow": "Down", "Escape": "Esc", "Slash": "/", "Minus": "-", "Equal": "=",
+}  # fmt: skip
 
 
 def chord(*keys: imgui.Key) -> int:
@@ -13,21 +21,12 @@ def chord(*keys: imgui.Key) -> int:
     return combined
 
 
-def handle_shortcuts(session: Session) -> None:
-    """Act on the keys that were pressed since the last frame."""
-    if imgui.get_io().want_text_input:
-        return
-    key = imgui.Key
-    actions = {
-        chord(key.mod_ctrl, key.z): session.undo,
-        chord(key.mod_ctrl, key.mod_shift, key.z): session.redo,
-        chord(key.mod_ctrl, key.y): session.redo,
-        chord(key.f): session.frame_scene,
-        chord(key.r): session.go_home,
-        chord(key.home): session.go_home,
-        chord(key.space): session.clock.toggle,
-        chord(key.f12): session.take_screenshot,
-    }
-    for keys, action in actions.items():
-        if imgui.is_key_chord_pressed(keys):
-            action()
+def chord_name(keys: int) -> str:
+    """Write a chord as people do, such as "Ctrl+Shift+Z"."""
+    words: list[str] = []
+    for modifier, word in _MODIFIERS:
+        if keys & int(modifier):
+            words.append(word)
+            keys &= ~int(modifier)
+    name = imgui.get_key_name(imgui.Key(keys))
+    return "+".join([*words, _WORDS.get(name, name)])

@@ -12,6 +12,7 @@ from gsrain_engine.session.session import Session, Split, ViewOptions
 from .divider import draw_divider
 from .notice import draw_notice
 from .overlays import OVERLAYS
+from .tool_bar import tool_bar
 from .tools import TOOLS
 from .viewport import Viewport
 
@@ -62,6 +63,7 @@ def viewport_panel(session: Session, textures_of: TexturesOf) -> None:
     imgui.get_window_draw_list().pop_clip_rect()
     _mouse(session, viewport, is_taken)
     _keyboard(session)
+    tool_bar(session, corner)
     draw_notice(session, corner, width, height)
 
 

@@ -43,6 +43,16 @@ class History:
         return cls([_Step("Open", document)])
 
     @property
+    def labels(self) -> list[str]:
+        """What each step did, the oldest first."""
+        return [step.label for step in self._steps]
+
+    @property
+    def cursor(self) -> int:
+        """The step that the document stands at."""
+        return self._cursor
+
+    @property
     def present(self) -> Document:
         """The document as it is now."""
         return self._steps[self._cursor].document
@@ -79,6 +89,11 @@ class History:
     def undo(self) -> Document:
         """Step back; at the beginning nothing happens."""
         self._cursor = max(0, self._cursor - 1)
+        return self.present
+
+    def go_to(self, step: int) -> Document:
+        """Step back or forward to a step."""
+        self._cursor = min(max(step, 0), len(self._steps) - 1)
         return self.present
 
     def redo(self) -> Document:

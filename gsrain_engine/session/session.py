@@ -72,6 +72,8 @@ class ViewOptions:
     """How colours lie on the GPU."""
     show_selection: bool = True
     """Tint what is selected."""
+    dialog: str = ""
+    """Which of the window's own pages is open: commands, keys or about."""
     tool: str = ""
     """Name of the viewport's tool; none is plain navigation."""
 
@@ -199,6 +201,11 @@ class Session:
     def redo(self) -> None:
         """Step forward."""
         self.history.redo()
+        self._follow_document()
+
+    def go_to_step(self, step: int) -> None:
+        """Go to a step of the history, backward or forward."""
+        self.history.go_to(step)
         self._follow_document()
 
     # Files

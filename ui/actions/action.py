@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 from gsrain_engine.session.session import Session
 
+from ..shortcuts import chord_name
+
 
 def always(session: Session) -> bool:
     """Whether it can be done: at any time."""
@@ -27,3 +29,24 @@ class Action:
     is_possible: Callable[[Session], bool] = always
     is_on: Callable[[Session], bool] | None = None
     """For what is switched on and off: whether it is on."""
+    more: Callable[[Session], str] | None = None
+    """What follows the name in the menu, such as the step that undo would take back."""
+
+    @property
+    def chords(self) -> tuple[int, ...]:
+        """All of its keys."""
+        return (self.keys,) if isinstance(self.keys, int) else self.keys
+
+    @property
+    def key_names(self) -> str:
+        """Its keys in words."""
+        return ", ".join(map(chord_name, self.chords))
+
+    def title(self, session: Session) -> str:
+        """Name with what follows it now."""
+        return f"{self.name} {self.more(session)}".strip() if self.more is not None else self.name
+
+    def perform(self, session: Session) -> None:
+        """Do it, if it is possible."""
+        if self.is_possible(session):
+            self.run(session)
