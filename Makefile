@@ -6,7 +6,7 @@ VENV ?= .venv
 RUN = $(VENV)/bin
 OUT ?= out
 
-.PHONY: demo test lint setup system clean
+.PHONY: demo pictures test lint setup system clean
 
 demo: setup
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
@@ -24,6 +24,9 @@ lint: setup
 	$(RUN)/ruff format --check .
 	$(RUN)/lint-imports
 	$(RUN)/pyright --pythonpath $(RUN)/python
+
+pictures: setup
+	xvfb-run --auto-servernum --server-args="-screen 0 1440x900x24" $(RUN)/python -m docs.take_pictures
 
 setup: system $(VENV)/.installed
 

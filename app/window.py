@@ -12,7 +12,10 @@ import glfw  # isort: skip
 import moderngl
 from imgui_bundle import glfw_utils
 
+from gsrain_engine.session.preferences import load_preferences
 from ui.style import apply_style
+
+from .layout_file import own_layout
 
 if TYPE_CHECKING:
     from gsrain_engine.session.session import Session, WindowBackend
@@ -34,7 +37,11 @@ def run_window(begin: "Callable[[], Session]", backend: "WindowBackend" = "auto"
         if not glfw.init():
             raise OSError("the display can't be opened (DISPLAY or WAYLAND_DISPLAY names one that is not there)")
     window = Window(begin, backend)
-    immapp.run(window.parameters(), immapp.AddOnsParams(with_implot=False))
+    parameters = window.parameters()
+    with own_layout() as layout:
+        parameters.ini_folder_type = hello_imgui.IniFolderType.absolute_path
+        parameters.ini_filename = str(layout)
+        immapp.run(parameters, immapp.AddOnsParams(with_implot=False))
     if window.failure is not None:
         raise window.failure
 
@@ -49,6 +56,7 @@ class Window:
         self._session: Session | None = None
         self._loader = threading.Thread(target=self._load, name="load the program", daemon=True)
         self.workspace: Workspace | None = None
+        self._title = ""
         self.failure: Exception | None = None
         """What kept the program from being loaded; the window closes over it."""
 
@@ -61,17 +69,19 @@ class Window:
             hello_imgui.DefaultImGuiWindowType.provide_full_screen_dock_space
         )
         parameters.imgui_window_params.show_menu_bar = True
+        parameters.imgui_window_params.show_menu_app = parameters.imgui_window_params.show_menu_view = False
         parameters.imgui_window_params.show_status_bar = True
         parameters.imgui_window_params.show_status_fps = False
-        parameters.ini_folder_type = hello_imgui.IniFolderType.app_user_config_folder
-        parameters.ini_filename = "gsrain/window.ini"
         parameters.docking_params.docking_splits = _splits()
         viewport = hello_imgui.DockableWindow(VIEWPORT, "MainDockSpace", self._draw_viewport)
         viewport.can_be_closed = False
+        # What is drawn over the picture never makes it scroll; a bar that comes and goes would change its size.
+        flags = imgui.WindowFlags_
+        viewport.imgui_window_flags = int(flags.no_scrollbar) | int(flags.no_scroll_with_mouse)
         parameters.docking_params.dockable_windows = [viewport]
         callbacks = parameters.callbacks
         callbacks.post_init = self._start
-        callbacks.setup_imgui_style = apply_style
+        callbacks.setup_imgui_style = lambda: apply_style(load_preferences()[0])
         callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
         callbacks.pre_new_frame = self._update
         callbacks.show_menus = lambda: self.workspace.draw_menus() if self.workspace else None
@@ -87,11 +97,18 @@ class Window:
         if paths and self.workspace is not None:
             self.workspace.session.open(paths[0])
 
+    def ask_to_close(self) -> None:
+        """Leave it to the session whether the window closes: there may be unsaved changes."""
+        if self.workspace is not None:
+            glfw.set_window_should_close(glfw_utils.glfw_window_hello_imgui(), False)
+            self.workspace.session.leave()
+
     def _start(self) -> None:
         """Share the window's OpenGL context, make room for plots, take in dropped files, begin to load."""
         implot.create_context()
         self._context = moderngl.create_context(require=_REQUIRED_VERSION)
         glfw.set_drop_callback(glfw_utils.glfw_window_hello_imgui(), lambda _, paths: self.drop(paths))
+        glfw.set_window_close_callback(glfw_utils.glfw_window_hello_imgui(), lambda _: self.ask_to_close())
         self._loader.start()
 
     def _load(self) -> None:
@@ -108,6 +125,7 @@ class Window:
             hello_imgui.get_runner_params().app_shall_exit = True
         elif self.workspace is not None:
             self.workspace.update()
+            self._show_title(self.workspace.title)
         elif self._session is not None and not self._loader.is_alive():
             from .workspace import Workspace
 
@@ -115,6 +133,11 @@ class Window:
             self.workspace = Workspace(self._session, self._context, self._backend)
             for panel in self.workspace.dockable_windows():
                 hello_imgui.add_dockable_window(panel)
+
+    def _show_title(self, title: str) -> None:
+        if title != self._title:
+            self._title = title
+            glfw.set_window_title(glfw_utils.glfw_window_hello_imgui(), title)
 
     def _draw_viewport(self) -> None:
         if self.workspace is not None:
@@ -134,5 +157,8 @@ class Window:
 
 def _splits() -> list[hello_imgui.DockingSplit]:
     right = hello_imgui.DockingSplit("MainDockSpace", "RightSpace", imgui.Dir.right, 0.28)
-    below = hello_imgui.DockingSplit("RightSpace", "RightBottomSpace", imgui.Dir.down, 0.45)
-    return [right, below]
+    right_bottom = hello_imgui.DockingSplit("RightSpace", "RightBottomSpace", imgui.Dir.down, 0.45)
+    bottom = hello_imgui.DockingSplit("MainDockSpace", "BottomSpace", imgui.Dir.down, 0.27)
+    left = hello_imgui.DockingSplit("MainDockSpace", "LeftSpace", imgui.Dir.left, 0.22)
+    left_bottom = hello_imgui.DockingSplit("LeftSpace", "LeftBottomSpace", imgui.Dir.down, 0.45)
+    return [right, right_bottom, bottom, left, left_bottom]

@@ -7,6 +7,7 @@ from imgui_bundle import hello_imgui, imgui
 
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.session.clock import Pace
+from gsrain_engine.session.job_previews import JobPreviews
 from gsrain_engine.session.live_view import LiveView
 from gsrain_engine.session.session import Session, WindowBackend
 from ui.about_page import about_page
@@ -16,12 +17,20 @@ from ui.file_dialogs import answer_dialogs
 from ui.keyboard_page import keyboard_page
 from ui.menus import draw_menus
 from ui.panels import PANELS
+from ui.questions import draw_questions
 from ui.status_bar import status_bar
+from ui.style import apply_style
 from ui.viewport_panel import viewport_panel
 
 logger = logging.getLogger("gsrain")
 
-_SPACES = {"right": "RightSpace", "right bottom": "RightBottomSpace"}
+_SPACES = {
+    "left": "LeftSpace",
+    "left bottom": "LeftBottomSpace",
+    "right": "RightSpace",
+    "right bottom": "RightBottomSpace",
+    "bottom": "BottomSpace",
+}
 _WAITING_FPS = 30.0
 """Enough for a bar that moves: what is waited for needs the processor more."""
 
@@ -30,6 +39,7 @@ def begin_session(scene: str | None, rain: Rain | None) -> Session:
     """Begin a session that opens a scene in the background; none is the built-in street."""
     session = Session(rain=rain)
     session.open(scene or "street")
+    session.files.offer_recovery()
     return session
 
 
@@ -39,9 +49,11 @@ class Workspace:
     def __init__(self, session: Session, context: moderngl.Context, backend: WindowBackend) -> None:
         self.session = session
         self.view = LiveView(context, session, backend)
+        self._previews = JobPreviews(context)
         self._palette = CommandPalette()
         self._pace = Pace()
         self._last_problem = ""
+        self._style = session.preferences
 
     def dockable_windows(self) -> list[hello_imgui.DockableWindow]:
         """One for each panel."""
@@ -55,15 +67,25 @@ class Workspace:
             windows.append(window)
         return windows
 
+    @property
+    def title(self) -> str:
+        """What the window is called: the scene, with a star while it has changes that are not saved."""
+        return f"GSRAIN: {self.session.scene.name}{' *' if self.session.has_changes else ''}"
+
     def update(self) -> None:
         """Let time go by. Once a frame, before anything is drawn."""
+        if self.session.preferences != self._style:
+            self._style = self.session.preferences
+            apply_style(self._style)
         session = self.session
         session.update(self._pace.step(imgui.get_io().delta_time))
+        self._previews.update(session)
         idling = hello_imgui.get_runner_params().fps_idling
         resting = not (session.clock.playing or session.is_working or session.budget.is_settling)
-        idling.enable_idling = resting and self.view.is_settled
+        idling.enable_idling = resting and self.view.is_settled and not self.view.is_catching_up
         idling.fps_max = 0.0 if self.view.is_settled and session.busy is None else _WAITING_FPS
-        hello_imgui.get_runner_params().app_window_params.window_title = f"GSRAIN: {session.scene.name}"
+        if session.is_leaving:
+            hello_imgui.get_runner_params().app_shall_exit = True
 
     def draw_menus(self) -> None:
         """Draw into the menu bar."""
@@ -75,13 +97,14 @@ class Workspace:
 
     def draw_viewport(self) -> None:
         """Draw the viewport, and act on keys."""
-        if not self.session.view.dialog:
+        if not self.session.view.dialog and self.session.question is None:
             act_on_keys(self.session)
         answer_dialogs()
         viewport_panel(self.session, self._textures)
         self._palette.draw(self.session)
         keyboard_page(self.session)
         about_page(self.session)
+        draw_questions(self.session)
 
     def _textures(self, width: int, height: int) -> list[int]:
         try:

@@ -6,11 +6,13 @@ layout(local_size_x = 256) in;
 #include "common_projection.glsl"
 #include "common_spherical_harmonics.glsl"
 #include "common_heat.glsl"
+#include "common_tint.glsl"
 
 layout(std430, binding = 0) readonly buffer Means { vec4 means_opacities[]; };
 layout(std430, binding = 1) readonly buffer Scales { float scales[]; };         // 3 a Gaussian
 layout(std430, binding = 2) readonly buffer Rotations { vec4 quaternions[]; };  // w x y z
 layout(std430, binding = 3) readonly buffer Harmonics { uint harmonics[]; };    // as SH_BITS says
+layout(std430, binding = 6) readonly buffer Marks { uvec2 marks[]; };           // bits of 32 Gaussians: left out, selected
 
 uniform uint count;
 uniform int coefficients;         // spherical harmonics a colour: 1, 4, 9, 16
@@ -20,6 +22,9 @@ uniform mat3 camera_to_world;
 uniform vec3 layer_color;
 uniform bool is_rain;
 uniform float growth;             // of each Gaussian, where others are left out
+uniform float layer_opacity;      // multiplies each Gaussian's own
+uniform mat4x3 color_change;      // of display colours, affine
+uniform bool has_marks;
 uniform int look;                 // 0 the picture, else LOOK_*
 
 const int LOOK_POINTS = 1, LOOK_NORMALS = 2, LOOK_OPACITY = 3, LOOK_LAYERS = 4;
@@ -62,7 +67,7 @@ vec3 display_color(uint i, vec3 mean) {
     vec3 direction = normalize(mean - camera_in_object);
     vec3 color = vec3(0.5);
     for (int k = 0; k < coefficients; ++k) color += sh_basis(k, direction) * harmonic(i, k);
-    return max(color, 0.0);
+    return max(color_change * vec4(color, 1.0), 0.0);
 }
 
 vec3 normal_color(mat3 axes, vec3 s, vec3 p) {
@@ -74,13 +79,14 @@ void main() {
     uint i = gl_GlobalInvocationID.x;
     Splat splat;
     bool visible = false;
-    if (i < count) {
+    uvec2 mark = has_marks && i < count ? (marks[i >> 5] >> (i & 31u)) & 1u : uvec2(0u);
+    if (i < count && mark.x == 0u) {
         vec4 mean_opacity = means_opacities[i];
         vec3 p = (object_to_camera * vec4(mean_opacity.xyz, 1.0)).xyz;
         if (p.z > near) {
             mat3 axes = mat3(object_to_camera) * rotation_matrix(quaternions[i]);
             vec3 s = growth * vec3(scales[3u * i], scales[3u * i + 1u], scales[3u * i + 2u]);
-            float opacity = min(mean_opacity.w, 1.0);
+            float opacity = min(mean_opacity.w * layer_opacity, 1.0);
             mat3 extents = mat3(axes[0] * s.x, axes[1] * s.y, axes[2] * s.z);
             visible = project(p, extents, opacity, is_rain, look == LOOK_POINTS, splat);
             if (visible) {
@@ -90,7 +96,7 @@ void main() {
                 else if (look == LOOK_LAYERS) color = layer_color;
                 else color = display_color(i, mean_opacity.xyz);
                 visible = !(any(isnan(color)) || any(isinf(color)));
-                set_color(splat, color);
+                set_color(splat, mark.y == 0u ? color : tinted(color));
             }
         }
     }

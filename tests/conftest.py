@@ -1,6 +1,7 @@
 """Fixtures that many tests share."""
 
 import os
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,10 @@ settings.register_profile(
     "gsrain", deadline=None, derandomize=bool(os.environ.get("CI")), suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("gsrain")
+
+# What tests prefer, keep and have opened is nobody's own.
+_OWN = tempfile.TemporaryDirectory(prefix="gsrain-tests-")
+os.environ["XDG_STATE_HOME"] = os.environ["XDG_CONFIG_HOME"] = _OWN.name
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 

@@ -15,7 +15,7 @@ _STEP_MM = 0.1
 
 def disdrometer_panel(session: Session) -> None:
     """Draw the panel."""
-    lab, rain = session.lab, session.rain
+    lab, rain = session.lab, session.rain_now
     plain_label("Area (m2)", "Of the horizontal square that catches drops.")
     _, lab.area_m2 = imgui.slider_float("##area", lab.area_m2, 0.005, 10, "%.3g", _LOGARITHMIC)
     plain_label("Time (s)", "Simulated: sixty seconds are counted in a fraction of one.")

@@ -27,9 +27,9 @@ class FieldInfo:
 
 
 @cache
-def field_info(name: str) -> FieldInfo:
-    """Read a rain field's declaration."""
-    hint = get_type_hints(Rain, include_extras=True)[name]
+def field_info(name: str, owner: type[msgspec.Struct] = Rain) -> FieldInfo:
+    """Read the declaration of a field, of the rain or of another struct."""
+    hint = get_type_hints(owner, include_extras=True)[name]
     kind, meta = (hint.__origin__, hint.__metadata__[0]) if get_origin(hint) is Annotated else (hint, msgspec.Meta())
     extra: dict[str, Any] = meta.extra or {}
     choices = tuple(each for each in get_args(kind) if isinstance(each, str))
@@ -54,12 +54,16 @@ def plain_label(text: str, help_text: str) -> None:
     imgui.set_next_item_width(-1)
 
 
-def slider(session: Session, name: str, *, high: float | None = None, logarithmic: bool = False) -> None:
-    """Edit a number between its bounds; one drag is one step of undo."""
+def slider(
+    session: Session, name: str, *, high: float | None = None, logarithmic: bool = False, beside_px: float = 0.0
+) -> None:
+    """Edit a number between its bounds, as it is now; one drag is one step of undo. `beside_px` stays free."""
     info = field_info(name)
     label(name)
+    if beside_px:
+        imgui.set_next_item_width(-beside_px)
     flags = imgui.SliderFlags_.always_clamp | (imgui.SliderFlags_.logarithmic if logarithmic else 0)
-    value = getattr(session.rain, name)
+    value = getattr(session.rain_now, name)
     changed, value = imgui.slider_float(f"##{name}", value, info.low, high or info.high, "%.4g", flags)
     if changed:
         session.change_rain(info.title, name, **{name: value})

@@ -30,7 +30,12 @@ def answer_dialogs() -> None:
         if not dialogs.is_done(title):
             continue
         answer = _waiting.pop(title)
-        chosen = [Path(each.path()) for each in dialogs.get_results()] if dialogs.has_result() else []
+        chosen = [_meant(Path(each.path())) for each in dialogs.get_results()] if dialogs.has_result() else []
         dialogs.close()
         if chosen:
             answer(chosen)
+
+
+def _meant(path: Path) -> Path:
+    """What was typed: to a name without a suffix the dialog adds that of the chosen kind, even where it is `.*`."""
+    return path.with_suffix("") if path.suffix == ".*" else path

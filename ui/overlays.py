@@ -4,9 +4,10 @@ from collections.abc import Callable
 
 from gsrain_engine.session.session import Session
 
+from .path_overlay import path_overlay
 from .viewport import Viewport
 
 Overlay = Callable[[Session, Viewport], bool]
 """Draws into the window's draw list; returns whether the left mouse button is its own now (a handle is held)."""
 
-OVERLAYS: tuple[Overlay, ...] = ()
+OVERLAYS: tuple[Overlay, ...] = (path_overlay,)

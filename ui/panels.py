@@ -8,14 +8,21 @@ from gsrain_engine.session.session import Session
 
 from .calibration_panel import calibration_panel
 from .disdrometer_panel import disdrometer_panel
+from .display_panel import display_panel
+from .edit_panel import edit_panel
+from .history_panel import history_panel
 from .jobs_panel import jobs_panel
+from .layers_panel import layers_panel
 from .log_panel import log_panel
 from .rain_panel import rain_panel
 from .rain_readout_panel import rain_readout_panel
-from .scene_panel import scene_panel
+from .record_panel import record_panel
+from .select_panel import select_panel
+from .shower_panel import shower_panel
 from .statistics_panel import statistics_panel
+from .timeline_panel import timeline_panel
 
-DockSide = Literal["right", "right bottom"]
+DockSide = Literal["left", "left bottom", "right", "right bottom", "bottom"]
 
 
 @dataclass(frozen=True)
@@ -28,12 +35,19 @@ class Panel:
 
 
 PANELS = (
+    Panel("Layers", "left", layers_panel),
+    Panel("History", "left bottom", history_panel),
     Panel("Rain", "right", rain_panel),
-    Panel("Scene", "right", scene_panel),
+    Panel("Edit", "right", edit_panel),
+    Panel("Select", "right", select_panel),
+    Panel("Record", "right", record_panel),
     Panel("Calibration", "right", calibration_panel),
     Panel("Read-out", "right bottom", rain_readout_panel),
+    Panel("Shower", "right bottom", shower_panel),
     Panel("Disdrometer", "right bottom", disdrometer_panel),
     Panel("Jobs", "right bottom", jobs_panel),
+    Panel("Display", "right bottom", display_panel),
     Panel("Statistics", "right bottom", statistics_panel),
     Panel("Log", "right bottom", log_panel),
+    Panel("Timeline", "bottom", timeline_panel),
 )

@@ -14,9 +14,9 @@ from .rain_panel import WARNING
 
 def rain_readout_panel(session: Session) -> None:
     """Draw the panel."""
-    state = session.rainfall.state
+    state = session.rainfall.state_at(session.clock.time_s)
     if state.intensity_mm_h == 0:
-        imgui.text_wrapped("0 mm/h: no rain at all.")
+        imgui.text_wrapped("0 mm/h now: no rain at all." if session.weather.keys else "0 mm/h: no rain at all.")
         return
     drawn = int(session.statistics.get("drops drawn", 0))
     haze = int(session.statistics.get("haze Gaussians", 0))

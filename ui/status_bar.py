@@ -1,29 +1,35 @@
-"""The line at the bottom: scene, rain, what is being done."""
+"""The line at the bottom: scene, selection, rain, what is being done, and what the tool in use knows."""
 
 from imgui_bundle import imgui
 
 from gsrain_engine.session.session import Session
 
 from .rain_panel import WARNING
+from .tools import TOOLS
 
 
 def status_bar(session: Session) -> None:
     """Draw the bar's content."""
-    state = session.rainfall.state
-    rate = imgui.get_io().framerate
-    imgui.text(
-        f"{session.scene.name}   {session.clock.time_s:.1f} s   {state.intensity_mm_h:.1f} mm/h   "
-        f"{rate:.0f} frames/s ({session.backend})"
-    )
-    if state.beyond_calibration:
+    state = session.rainfall.state_at(session.clock.time_s)
+    selected = sum(each.marks.selected.size for each in session.scene.members if each.marks.selected is not None)
+    words = [session.scene.name, f"{session.clock.time_s:.1f} s", f"{state.intensity_mm_h:.1f} mm/h"]
+    if selected:
+        words.append(f"{selected:,} selected")
+    imgui.text("   ".join(words))
+    for warning in filter(None, ["beyond calibration" if state.beyond_calibration else "", session.rain.exaggeration]):
         imgui.same_line()
-        imgui.text_colored(WARNING, "beyond calibration")
-    if session.rain.exaggeration:
-        imgui.same_line()
-        imgui.text_colored(WARNING, session.rain.exaggeration)
+        imgui.text_colored(WARNING, warning)
     for job in session.running_jobs:
         imgui.same_line()
         imgui.text(f"  {job.title}: {100 * job.progress.fraction:.0f} %")
     if session.busy is not None:
         imgui.same_line()
         imgui.text(f"  {session.busy}")
+    tool = next((each for each in TOOLS if each.name == session.view.tool), None)
+    right = f"{imgui.get_io().framerate:.0f} frames/s ({session.backend})"
+    room = imgui.get_window_width() - imgui.calc_text_size(right).x - 2 * imgui.get_font_size()
+    if tool is not None:
+        imgui.same_line()
+        imgui.text_disabled(f"   {tool.name}: {tool.help}")
+    imgui.same_line(room)
+    imgui.text_disabled(right)

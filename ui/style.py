@@ -1,13 +1,27 @@
-"""The look of the window: dark, quiet, a little room around things."""
+"""The look of the window: dark or light, quiet, a little room around things."""
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
+from gsrain_engine.session.preferences import Preferences
 
-def apply_style() -> None:
-    """Set colours and spacing."""
-    hello_imgui.apply_theme(hello_imgui.ImGuiTheme_.darcula_darker)
+_THEMES = {
+    "dark": hello_imgui.ImGuiTheme_.darcula_darker,
+    "light": hello_imgui.ImGuiTheme_.light_rounded,
+}
+
+
+def apply_style(preferences: Preferences) -> None:
+    """Set colours, sizes and the scale of text."""
+    for_screen = imgui.get_style().font_scale_dpi
+    hello_imgui.apply_theme(_THEMES[preferences.theme])
     style = imgui.get_style()
     style.frame_rounding = style.grab_rounding = 3.0
     style.window_rounding = 0.0
+    style.popup_rounding = 4.0
     style.item_spacing = ImVec2(8, 5)
     style.frame_padding = ImVec2(7, 4)
+    style.scale_all_sizes(preferences.ui_scale)
+    style.font_scale_main = preferences.font_scale
+    style.font_scale_dpi = for_screen
+    color = style.color_(imgui.Col_.popup_bg)
+    style.set_color_(imgui.Col_.popup_bg, (color.x, color.y, color.z, 0.98))

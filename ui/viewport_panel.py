@@ -1,19 +1,20 @@
 """The viewport: the picture, navigation by mouse and keys, outlines of the rain regions, a small toolbar."""
 
 from collections.abc import Callable
-from typing import get_args
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
-from gsrain_engine.render.look import Look
 from gsrain_engine.session.region_outlines import region_outlines
-from gsrain_engine.session.session import Session, Split, ViewOptions
+from gsrain_engine.session.session import Session
 
 from .divider import draw_divider
+from .empty_state import empty_state
 from .notice import draw_notice
 from .overlays import OVERLAYS
 from .tool_bar import tool_bar
+from .tool_options import tool_options
 from .tools import TOOLS
+from .view_bar import view_bar
 from .viewport import Viewport
 
 TexturesOf = Callable[[int, int], list[int]]
@@ -27,16 +28,10 @@ _KEYS = {
     imgui.Key.e: (0, 0, 1), imgui.Key.q: (0, 0, -1),
 }  # fmt: skip
 
-HELP = (
-    "Left drag: orbit    right drag: look around    middle drag: pan    wheel: nearer, farther\n"
-    "W A S D: fly    Q E: down, up    Shift: faster    Ctrl+wheel: fly speed\n"
-    "F: frame the scene    R: back to the start    Space: play, pause    F12: screenshot"
-)
-
 
 def viewport_panel(session: Session, textures_of: TexturesOf) -> None:
     """Draw the panel."""
-    _toolbar(session)
+    view_bar(session)
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x), 16), max(int(size.y), 16)
     corner = imgui.get_cursor_screen_pos()
@@ -63,46 +58,10 @@ def viewport_panel(session: Session, textures_of: TexturesOf) -> None:
     imgui.get_window_draw_list().pop_clip_rect()
     _mouse(session, viewport, is_taken)
     _keyboard(session)
-    tool_bar(session, corner)
+    tool_bar(session, corner, height)
+    tool_options(session, corner, width)
+    empty_state(session, corner, width, height)
     draw_notice(session, corner, width, height)
-
-
-def _toolbar(session: Session) -> None:
-    if imgui.button("Pause" if session.clock.playing else "Play"):
-        session.clock.toggle()
-    imgui.set_item_tooltip("Let time go on or stop it (Space).")
-    imgui.same_line()
-    _, session.view.follow_path = imgui.checkbox("Ride along", session.view.follow_path)
-    imgui.set_item_tooltip("Ride along the scene's own path: its ego vehicle, or a swing around its middle.")
-    imgui.same_line()
-    if imgui.button("Frame"):
-        session.frame_scene()
-    imgui.set_item_tooltip("Back off until the whole scene can be seen (F).")
-    imgui.same_line()
-    if imgui.button("Home"):
-        session.go_home()
-    imgui.set_item_tooltip("Back to where the scene was first looked at from (R).")
-    imgui.same_line()
-    if imgui.button("Screenshot"):
-        session.take_screenshot()
-    imgui.set_item_tooltip("Save the picture as PNG (F12); the log says where.")
-    imgui.same_line()
-    _choice("##look", session.view, "look", get_args(Look), "Look: the picture, or what it is made of.", 7.5)
-    imgui.same_line()
-    _choice("##split", session.view, "split", get_args(Split), "Compare two pictures side by side.", 9.5)
-    imgui.same_line()
-    imgui.text_disabled(f"{session.clock.time_s:8.2f} s    fly {session.navigation.speed_m_s:.1f} m/s    (?)")
-    imgui.set_item_tooltip(HELP)
-
-
-def _choice(
-    name: str, options: ViewOptions, field: str, choices: tuple[str, ...], help_text: str, width_em: float
-) -> None:
-    imgui.set_next_item_width(width_em * imgui.get_font_size())
-    changed, picked = imgui.combo(name, choices.index(getattr(options, field)), list(choices))
-    imgui.set_item_tooltip(help_text)
-    if changed:
-        setattr(options, field, choices[picked])
 
 
 def _outlines(session: Session, corner: ImVec2, width: int, height: int) -> None:
@@ -120,7 +79,7 @@ def _mouse(session: Session, viewport: Viewport, is_taken: bool) -> None:
         if is_taken and imgui.is_mouse_down(imgui.MouseButton_.left):
             return
         if moved.x or moved.y:
-            session.view.follow_path = False
+            session.stop_riding()
         if imgui.is_mouse_down(imgui.MouseButton_.left):
             navigation.orbit(moved.x * _RADIANS_PER_PIXEL, -moved.y * _RADIANS_PER_PIXEL)
         elif imgui.is_mouse_down(imgui.MouseButton_.right):
@@ -131,7 +90,7 @@ def _mouse(session: Session, viewport: Viewport, is_taken: bool) -> None:
         if io.key_ctrl:
             navigation.change_speed(io.mouse_wheel)
         else:
-            session.view.follow_path = False
+            session.stop_riding()
             navigation.dolly(io.mouse_wheel)
 
 
@@ -144,7 +103,7 @@ def _keyboard(session: Session) -> None:
     if not pressed:
         session.navigation.stop()
         return
-    session.view.follow_path = False
+    session.stop_riding()
     forward, right, up = (sum(axis) for axis in zip(*pressed, strict=True))
     fast = _FAST if io.key_shift else 1.0
     # The frame in which a key went down may have begun long before: nothing moved then.

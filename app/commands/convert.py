@@ -6,7 +6,10 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.formats.scene_files import names_scene_folder
 from gsrain_engine.session.open_scene import open_scene
+
+from .marked import marked, marked_text
 
 
 def convert(
@@ -17,4 +20,9 @@ def convert(
     """Convert a scene. A single file gets all visible layers, and actors where they stand at time 0."""
     scene = open_scene(source)
     write_scene(scene, target)
-    print(f"{target}: {scene.gaussian_count:,} Gaussians")
+    if names_scene_folder(target):
+        print(f"{target}: {scene.gaussian_count:,} Gaussians{marked_text(marked(scene.members))}")
+        return
+    left_out = [part.left_out.size if part.left_out is not None else 0 for part in scene.parts()]
+    kept = sum(len(part.gaussians) for part in scene.parts()) - sum(left_out)
+    print(f"{target}: {kept:,} Gaussians{f'; {sum(left_out):,} deleted or hidden ones are left out' * any(left_out)}")

@@ -8,11 +8,12 @@ from rich.console import Console
 from rich.table import Table
 
 from gsrain_engine.scene.bounds import bounds
-from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.members import Actor, Layer
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.open_scene import open_scene
 
 from .arguments import JsonFile, write_numbers
+from .marked import marked, marked_text
 
 
 def info(
@@ -23,13 +24,11 @@ def info(
 ) -> None:
     """Print counts, bounds, spherical harmonics, units and memory of a scene."""
     opened = open_scene(scene)
-    rows = [
-        *(_member(layer.name, layer.kind, layer.gaussians) for layer in opened.layers),
-        *(_member(actor.id, actor.class_name, actor.gaussians) for actor in opened.actors),
-    ]
+    rows = [_member(each) for each in opened.members]
     numbers = {
         "scene": opened.name,
         "gaussians": opened.gaussian_count,
+        **marked(opened.members),
         "memory_bytes": sum(row["memory_bytes"] for row in rows),
         "metres_per_unit": opened.metres_per_unit,
         "up": list(opened.up),
@@ -40,12 +39,14 @@ def info(
     write_numbers(json, numbers)
 
 
-def _member(name: str, kind: str, gaussians: Gaussians) -> dict[str, Any]:
+def _member(member: Layer | Actor) -> dict[str, Any]:
+    gaussians, marks = member.gaussians, marked([member])
     low, high = bounds(gaussians) if len(gaussians) else (np.zeros(3), np.zeros(3))
     return {
-        "name": name,
-        "kind": kind,
-        "gaussians": len(gaussians),
+        "name": member.name,
+        "kind": member.kind if isinstance(member, Layer) else member.class_name,
+        "gaussians": len(gaussians) - marks["deleted"],
+        **marks,
         "sh_degree": gaussians.sh_degree,
         "minimum": [round(float(v), 3) for v in low],
         "maximum": [round(float(v), 3) for v in high],
@@ -56,7 +57,9 @@ def _member(name: str, kind: str, gaussians: Gaussians) -> dict[str, Any]:
 def _print(scene: Scene, numbers: dict[str, Any]) -> None:
     console = Console()
     up = ", ".join(f"{v:g}" for v in scene.up)
-    console.print(f"{scene.name}: {numbers['gaussians']:,} Gaussians, {numbers['memory_bytes'] / 2**20:.1f} MiB")
+    marks = marked_text({kind: numbers[kind] for kind in ("deleted", "hidden")})
+    size = f"{numbers['memory_bytes'] / 2**20:.1f} MiB"
+    console.print(f"{scene.name}: {numbers['gaussians']:,} Gaussians{marks}, {size}")
     console.print(f"1 unit = {scene.metres_per_unit:g} m, up = ({up})")
     for name, cameras in numbers["rigs"].items():
         console.print(f"rig {name}: {', '.join(cameras)}")

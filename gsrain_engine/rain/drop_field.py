@@ -81,9 +81,7 @@ def offsets(
 def offsets_of(
     motion: DropMotion, time_s: float, cell_center_m: Float64[np.ndarray, "3"], period_m: Float64[np.ndarray, "3"]
 ) -> Offsets:
-    """`offsets` of a motion's displacement, to the bit, without making that of a motion that has not changed."""
-    if motion.reached_m is not None:
-        return offsets(motion.displacement(time_s), cell_center_m, period_m)
+    """`offsets` of a motion's displacement, to the bit, without making it: all classes drift alike."""
     drift, fallen = motion.drift(time_s), motion.fallen(time_s)
     wraps, fractions = np.empty((len(fallen), 3), np.int32), np.empty((len(fallen), 3), np.uint32)
     for axis in range(2):

@@ -46,31 +46,32 @@ class DropMotion:
     fall_speed_m_s: Float64[np.ndarray, " classes"]
     """Downward speed of each class."""
     since_s: float = 0.0
-    reached_m: Float64[np.ndarray, "classes 3"] | None = None
-    """Displacement at `since_s`; none is zero everywhere."""
+    drifted_m: Float64[np.ndarray, "2"] | None = None
+    """How far all drops had drifted at `since_s`; none is not at all."""
+    fallen_m: Float64[np.ndarray, " classes"] | None = None
+    """How far each class had fallen at `since_s`; none is not at all."""
 
     def displacement(self, time_s: float) -> Float64[np.ndarray, "classes 3"]:
         """World displacement of each class in metres."""
         moved = np.empty((len(self.fall_speed_m_s), 3))
         moved[:, :2] = self.drift(time_s)
         moved[:, 2] = -self.fallen(time_s)
-        return moved if self.reached_m is None else moved + self.reached_m
+        return moved
 
     def without_drift(self) -> "DropMotion":
         """Return the same fall from straight above."""
-        reached = None if self.reached_m is None else self.reached_m * np.array([0.0, 0.0, 1.0])
-        return replace(self, wind=Wind(), reached_m=reached)
+        return replace(self, wind=Wind(), drifted_m=None)
 
     def drift(self, time_s: float) -> Float64[np.ndarray, "2"]:
-        """How far the wind has carried all drops along x and y since `since_s`, in metres."""
-        return self.wind.displacement(time_s) - self.wind.displacement(self.since_s)
+        """How far the wind has carried all drops along x and y, in metres."""
+        moved = self.wind.displacement(time_s) - self.wind.displacement(self.since_s)
+        return moved if self.drifted_m is None else moved + self.drifted_m
 
     def fallen(self, time_s: float) -> Float64[np.ndarray, " classes"]:
-        """How far each class has fallen since `since_s`, in metres."""
-        return self.fall_speed_m_s * (time_s - self.since_s)
+        """How far each class has fallen, in metres."""
+        moved = self.fall_speed_m_s * (time_s - self.since_s)
+        return moved if self.fallen_m is None else moved + self.fallen_m
 
     def changed(self, time_s: float, wind: Wind, fall_speed_m_s: Float64[np.ndarray, " classes"]) -> "DropMotion":
         """Go on from where every class is at a time with another wind and other speeds."""
-        return replace(
-            self, wind=wind, fall_speed_m_s=fall_speed_m_s, since_s=time_s, reached_m=self.displacement(time_s)
-        )
+        return DropMotion(wind, fall_speed_m_s, time_s, self.drift(time_s), self.fallen(time_s))

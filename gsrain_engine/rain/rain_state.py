@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -136,19 +138,45 @@ def _interpolate_table(calibration: Calibration, intensity: float) -> tuple[floa
     for row in calibration.rows:
         if row.intensity_mm_h == intensity:
             return row.density_m3, DropSizes(row.shape, row.scale_mm)
-    log_r = np.log([row.intensity_mm_h for row in calibration.rows])
-    log_density = np.log([row.density_m3 for row in calibration.rows])
-    shapes = np.array([row.shape for row in calibration.rows])
-    log_mean = np.log([row.shape * row.scale_mm for row in calibration.rows])
+    table = _table(calibration)
     x = float(np.log(intensity))
-    density = float(np.exp(_monotone(log_r, log_density, x)))
-    mean = float(np.exp(_monotone(log_r, log_mean, x)))
-    shape = float(PchipInterpolator(log_r, shapes)(np.clip(x, log_r[0], log_r[-1])))
+    density = float(np.exp(table.log_density(x)))
+    mean = float(np.exp(table.log_mean(x)))
+    shape = float(table.shape.inside(np.clip(x, *table.shape.ends)))
     return density, DropSizes(shape, mean / shape)
 
 
-def _monotone(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], at: float) -> float:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Curve:
     """Shape-preserving cubic inside (Fritsch and Carlson, 1980); outside, on with the slope fitted over all points."""
-    inside = float(np.clip(at, x[0], x[-1]))
-    slope = float(np.polyfit(x, y, 1)[0])
-    return float(PchipInterpolator(x, y)(inside)) + slope * (at - inside)
+
+    inside: PchipInterpolator
+    ends: tuple[float, float]
+    slope: float
+
+    @classmethod
+    def through(cls, x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> "_Curve":
+        return cls(PchipInterpolator(x, y), (float(x[0]), float(x[-1])), float(np.polyfit(x, y, 1)[0]))
+
+    def __call__(self, at: float) -> float:
+        inside = min(max(at, self.ends[0]), self.ends[1])
+        return float(self.inside(inside)) + self.slope * (at - inside)
+
+
+class _Table(NamedTuple):
+    """A calibration's rows as curves over ln R."""
+
+    log_density: _Curve
+    log_mean: _Curve
+    shape: _Curve
+
+
+@lru_cache(maxsize=8)
+def _table(calibration: Calibration) -> _Table:
+    rows = calibration.rows
+    log_r = np.log([row.intensity_mm_h for row in rows])
+    return _Table(
+        _Curve.through(log_r, np.log([row.density_m3 for row in rows])),
+        _Curve.through(log_r, np.log([row.shape * row.scale_mm for row in rows])),
+        _Curve.through(log_r, np.array([row.shape for row in rows])),
+    )

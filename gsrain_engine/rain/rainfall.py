@@ -1,6 +1,6 @@
 """Rain that falls: from what a person asks for, a moment and a camera to the drops and the haze of that moment."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float64
@@ -14,10 +14,12 @@ from .drop_motion import DropMotion, Wind
 from .falling_rain import FallingRain
 from .haze import Haze, make_haze
 from .rain import Rain
+from .rain_course import RainCourse
 from .rain_state import RainState, fall_speed, rain_state
 from .roofs import Roofs
 from .streak_field import StreakField
 from .streaks import STREAK_REACH, Shutter, circle_of_confusion_m, visible_distance_m
+from .weather import WITHOUT_CHANGE, Weather
 
 OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)
 """Display colour of drops where a scene shows no sky to take it from."""
@@ -36,39 +38,81 @@ class View:
     """Focal length of the output image; none takes the camera's own."""
     roofs: Roofs | None = None
     """Where rain does not reach; none is open everywhere."""
+    exposure_share: float = 1.0
+    """Of the shutter time, for one of several sub-frames that share it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rainfall:
-    """One rain with everything that is worked out once for it. A value: `changed` makes the next one."""
+    """One rain with everything that is worked out once for it. A value: `changed` makes the next one.
+
+    Under a weather rain, state, sizes and speeds are those of the time: `moment` has them, and what is asked about a
+    time goes by it.
+    """
 
     rain: Rain
     calibration: Calibration
     state: RainState
+    """Of the rain as it is without a weather; see `state_at`."""
     diameters_mm: Float64[np.ndarray, " classes"]
     motion: DropMotion
+    weather: Weather = WITHOUT_CHANGE
+    _course: RainCourse | None = None
+    _moments: "dict[float, Rainfall]" = field(default_factory=dict, init=False)
+    """The one that was asked for last."""
 
     @classmethod
-    def start(cls, rain: Rain, calibration: Calibration | None = None) -> "Rainfall":
+    def start(cls, rain: Rain, calibration: Calibration | None = None, weather: Weather | None = None) -> "Rainfall":
         """Begin a rain whose drops are a function of (seed, t) alone."""
         calibration = calibration or load_calibration(rain.calibration)
+        weather = weather or WITHOUT_CHANGE
+        course = RainCourse.of(rain, weather, calibration) if weather.keys else None
         state = rain_state(rain, calibration)
         diameters = state.sizes.class_diameters_mm
         motion = DropMotion(_wind(rain), fall_speed(rain, calibration)(diameters))
-        return cls(rain, calibration, state, diameters, motion)
+        return cls(rain, calibration, state, diameters, motion, weather, course)
 
-    def changed(self, rain: Rain, time_s: float) -> "Rainfall":
-        """Change the rain while it falls: drops go on from where they are."""
+    def changed(self, rain: Rain, time_s: float, weather: Weather | None = None) -> "Rainfall":
+        """Change the rain while it falls, and its weather if one is given: drops go on from where they are."""
         calibration = self.calibration
         if rain.calibration != self.rain.calibration:
             calibration = load_calibration(rain.calibration)
+        weather, now = self.weather if weather is None else weather, self.moment(time_s)
         state = rain_state(rain, calibration)
         diameters = state.sizes.class_diameters_mm
-        motion = self.motion.changed(time_s, _wind(rain), fall_speed(rain, calibration)(diameters))
-        return replace(self, rain=rain, calibration=calibration, state=state, diameters_mm=diameters, motion=motion)
+        motion = now.motion.changed(time_s, _wind(rain), fall_speed(rain, calibration)(diameters))
+        course = None
+        if weather.keys:
+            same = weather is self.weather and _what_moves(rain) == _what_moves(self.rain)
+            course = self._course if same else RainCourse.of(rain, weather, calibration).going_on_from(motion)
+        return Rainfall(rain, calibration, state, diameters, motion, weather, course)
+
+    def moment(self, time_s: float) -> "Rainfall":
+        """Return the rain as it falls at a time, without a weather; it is right for that time alone."""
+        if self._course is None:
+            return self
+        now = self._moments.get(time_s)
+        if now is None:
+            rain, course = self.weather.rain_at(self.rain, time_s), self._course
+            state = rain_state(rain, self.calibration)
+            now = Rainfall(rain, self.calibration, state, course.diameters_mm(time_s), course.motion(time_s))
+            self._moments.clear()
+            self._moments[time_s] = now
+        return now
+
+    def state_at(self, time_s: float) -> RainState:
+        """Numbers of the rain at a time."""
+        return self.moment(time_s).state
+
+    @property
+    def can_rain(self) -> bool:
+        """Whether it rains at any time."""
+        return self.weather.heaviest_mm_h(self.rain) > 0
 
     def at(self, time_s: float, view: View, sky: tuple[float, float, float] = OVERCAST) -> FallingRain | None:
         """Return the rain of a moment; None at 0 mm/h. `sky` is the display colour of the scene's sky."""
+        if self._course is not None:
+            return self.moment(time_s).at(time_s, view, sky)
         rain = self.rain
         if self.state.intensity_mm_h == 0:
             return None
@@ -88,7 +132,8 @@ class Rainfall:
 
     def exposure_s(self, view: View) -> float:
         """Shutter time: the rain's own, else the camera's."""
-        return self.rain.exposure_s if self.rain.exposure_s is not None else view.camera.exposure_s
+        whole = self.rain.exposure_s if self.rain.exposure_s is not None else view.camera.exposure_s
+        return whole * view.exposure_share
 
     def _haze(self, time_s: float, view: View) -> Haze:
         count, anchor = self.state.haze_gaussians, view.anchor_to_world
@@ -107,6 +152,8 @@ class Rainfall:
 
     def streak_field(self, time_s: float, view: View) -> StreakField:
         """Place the cell of drops around a view at a moment."""
+        if self._course is not None:
+            return self.moment(time_s).streak_field(time_s, view)
         region, turn = self.rain.streak_region, view.anchor_to_world[:3, :3]
         size = np.array(region.size_m)
         center = turn @ np.array(region.center_m) + view.anchor_to_world[:3, 3]
@@ -173,6 +220,12 @@ def _wind(rain: Rain) -> Wind:
     if rain.streak_reset == "paper":  # its drops fall straight down
         return Wind()
     return Wind(rain.wind_m_s, rain.gust_m_s, rain.seed)
+
+
+def _what_moves(rain: Rain) -> tuple[object, ...]:
+    """Fields on which the fall and the drift of drops under a weather depend."""
+    moving = rain.intensity_mm_h, rain.wind_m_s, rain.gust_m_s, rain.seed
+    return (*moving, rain.velocity, rain.calibration, rain.streak_reset)
 
 
 def mean_sky(colors: Float64[np.ndarray, "n 3"]) -> tuple[float, float, float]:

@@ -11,6 +11,7 @@ from scipy.ndimage import maximum_filter, rank_filter
 
 from gsrain_engine.scene.bounds import robust_bounds
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Layer, Part
 from gsrain_engine.scene.rotations import matrices_from_quaternions
 from gsrain_engine.scene.scene import Scene
@@ -80,19 +81,38 @@ class _Points(NamedTuple):
     """Optical depth that a piece adds to its cell, seen from above."""
 
 
+class _Solid(NamedTuple):
+    """What of a layer roofs are found in: a selection, a grading or a name change nothing about them."""
+
+    gaussians: Gaussians
+    to_world: bytes
+    left_out: Mask | None
+    opacity: float
+
+
 def roofs_of(scene: Scene) -> Roofs | None:
     """Find the roofs of what stands still and can be seen in a scene, sky apart; None where there are none.
 
     Those of the last two scenes are kept: a split view shows as many.
     """
-    solid = tuple(layer for layer in scene.layers if layer.visible and layer.kind == "background")
-    return _roofs_of_layers(solid, scene.metres_per_unit, scene.up)
+    layers = [layer for layer in scene.layers if layer.visible and layer.kind == "background"]
+    ways = [np.ascontiguousarray(scene.scene_to_world @ layer.to_scene).tobytes() for layer in layers]
+    return _roofs_of_solids(tuple(map(_solid, layers, ways)))
+
+
+def _solid(layer: Layer, to_world: bytes) -> _Solid:
+    return _Solid(layer.gaussians, to_world, layer.marks.left_out, layer.opacity)
 
 
 @lru_cache(maxsize=2)
-def _roofs_of_layers(layers: tuple[Layer, ...], metres_per_unit: float, up: tuple[float, float, float]) -> Roofs | None:
-    parts = Scene("", layers, metres_per_unit=metres_per_unit, up=up).parts()
-    return find_roofs(parts)
+def _roofs_of_solids(solids: tuple[_Solid, ...]) -> Roofs | None:
+    ways = [np.frombuffer(each.to_world).reshape(4, 4) for each in solids]
+    return find_roofs(
+        [
+            Part(each.gaussians, way, left_out=each.left_out, opacity=each.opacity)
+            for each, way in zip(solids, ways, strict=True)
+        ]
+    )
 
 
 def find_roofs(parts: Sequence[Part]) -> Roofs | None:

@@ -1,6 +1,6 @@
 """The virtual disdrometer: counts the drops of the simulated field that fall through a horizontal area."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import no_type_check
 
@@ -13,7 +13,6 @@ from gsrain_engine.scene.camera import Camera
 
 from .counted_drops import CountedDrops
 from .drop_field import CLASS_STRIDE, FIRST_OF_CLASS, Offsets
-from .drop_motion import DropMotion
 from .drop_sizes import CLASSES
 from .rainfall import Rainfall, View
 from .random_bits import pcg4d_scalar
@@ -51,17 +50,28 @@ class VirtualDisdrometer:
             )
 
     def measure(self, times_s: Float64[np.ndarray, " records_and_one"]) -> CountedDrops:
-        """Count in records from each time to the next."""
+        """Count in records from each time to the next, of a rain that does not change."""
         return self.collect(times_s, [self.count(start, end) for start, end in pairwise(times_s)])
+
+    def records(self, times_s: Float64[np.ndarray, " records_and_one"]) -> list[CountedDrops]:
+        """Count one record after the other, each with the sizes and speeds of its middle: under a weather they change.
+
+        Records should be short against the weather: the drops that exist, too, are those of the middle.
+        """
+        moments = [0.5 * (start + end) for start, end in pairwise(times_s)]
+        return [
+            replace(self, rainfall=self.rainfall.moment(middle)).collect(span, [self.count(*span)])
+            for middle, span in zip(moments, np.stack([times_s[:-1], times_s[1:]], axis=1), strict=True)
+        ]
 
     def count(self, start_s: float, end_s: float) -> Int64[np.ndarray, " classes"]:
         """Drops of each class that pass from a time, included, to another, which the next record begins with."""
-        field, later = self._field(start_s), self._field(end_s)
+        field, middle, later = (self._field(time_s) for time_s in (start_s, 0.5 * (start_s + end_s), end_s))
         before, after = _places(field.where), _places(later.where)
         size = np.round(np.minimum(np.sqrt(self.area_m2) / field.period_m[:2], 1) * _WHOLE).astype(np.int64)
-        path = _path(self.rainfall.motion, start_s, end_s) * _WHOLE / field.period_m[:2]
+        path = _path(self.rainfall, start_s, end_s) * _WHOLE / field.period_m[:2]
         counts = np.zeros(CLASSES, np.int64)
-        _count(np.uint32(field.rain.seed), field.count, before, after, size, path, end_s - start_s, counts)
+        _count(np.uint32(field.rain.seed), middle.count, before, after, size, path, end_s - start_s, counts)
         return counts
 
     def collect(
@@ -86,13 +96,14 @@ def _places(where: Offsets) -> Int64[np.ndarray, "classes 3"]:
     return where.wraps.astype(np.int64) * _WHOLE + where.fractions
 
 
-def _path(motion: DropMotion, start_s: float, end_s: float) -> Float64[np.ndarray, "4 steps 2"]:
+def _path(rainfall: Rainfall, start_s: float, end_s: float) -> Float64[np.ndarray, "4 steps 2"]:
     """Where the wind has carried drops since a start, in metres: cubics of the time in each of equal steps."""
-    steps = 1 if motion.wind.gust_m_s == 0 else int(np.ceil((end_s - start_s) / _GUST_STEP_S))
+    steps = 1 if rainfall.rain.gust_m_s == 0 else int(np.ceil((end_s - start_s) / _GUST_STEP_S))
     times = np.linspace(start_s, end_s, steps + 1)
-    drift = np.stack([motion.drift(time) for time in times]) - motion.drift(start_s)
-    wind = np.stack([motion.wind.velocity(time) for time in times])
-    return CubicHermiteSpline(times, drift, wind).c
+    motions = [rainfall.moment(time).motion for time in times]
+    drift = np.stack([motion.drift(time) for motion, time in zip(motions, times, strict=True)])
+    wind = np.stack([motion.wind.velocity(time) for motion, time in zip(motions, times, strict=True)])
+    return CubicHermiteSpline(times, drift - drift[0], wind).c
 
 
 @numba.njit(parallel=True, cache=True)

@@ -12,6 +12,7 @@ from gsrain_engine.scene.members import Part
 from gsrain_engine.scene.rotations import quaternions_from_matrices
 
 from .projection import eye_in_object
+from .tint import TINT, TINT_SHARE
 
 torch: Any = import_module("torch")
 
@@ -43,7 +44,7 @@ class CudaArrays:
         self._used: set[int] = set()
 
     def before_camera(self, parts: list[Part], camera: Camera) -> CameraSpace:
-        """Move each part's first `count` Gaussians before the camera, harmonics evaluated in the part's own frame."""
+        """Move what is drawn of each part before the camera, harmonics evaluated in the part's own frame."""
         moved = [self._moved(part, camera) for part in parts]
         nothing = (self._uploaded(np.zeros(shape, np.float32)) for shape in ((0, 3), (0, 3), (0, 4), 0, (0, 3)))
         return CameraSpace(*(torch.cat(each) for each in zip(nothing, *moved, strict=True)))
@@ -57,17 +58,24 @@ class CudaArrays:
         object_to_camera = camera.world_to_camera @ part.to_world  # in float64: far from the origin nothing is lost
         scale = float(np.cbrt(np.linalg.det(object_to_camera[:3, :3])))
         turn = quaternions_from_matrices(object_to_camera[:3, :3] / scale)
-        means, scales, quaternions, opacities, sh = (each[: part.drawn_count] for each in self._arrays(part.gaussians))
+        rows = _rows(part)
+        means, scales, quaternions, opacities, sh = (each[rows] for each in self._arrays(part.gaussians))
         linear, shift = self._uploaded(object_to_camera[:3, :3].T), self._uploaded(object_to_camera[:3, 3])
         directions = means - self._uploaded(eye_in_object(camera, part))
         directions = directions / torch.linalg.norm(directions, dim=1, keepdim=True)
         basis = sh_basis(directions)[:, : sh.shape[1]]
-        colors = torch.clamp(torch.einsum("nk,nkc->nc", basis, sh) + 0.5, min=0)
+        colors = torch.einsum("nk,nkc->nc", basis, sh) + 0.5
+        if part.colors is not None:
+            colors = colors @ self._uploaded(part.colors[:, :3].T) + self._uploaded(part.colors[:, 3])
+        colors = torch.clamp(colors, min=0)
+        if part.selected is not None:
+            tinted = torch.as_tensor(part.selected.flags, device=self._device)[rows][:, None]
+            colors = torch.where(tinted, torch.lerp(colors, self._uploaded(np.array(TINT)), TINT_SHARE), colors)
         return CameraSpace(
             means @ linear + shift,
             scales * (scale * part.growth),
             quaternions @ self._uploaded(_product_matrix(turn)),
-            opacities,
+            opacities * part.opacity,
             colors,
         )
 
@@ -82,6 +90,15 @@ class CudaArrays:
 
     def _uploaded(self, values: np.ndarray) -> Tensor:
         return torch.as_tensor(np.ascontiguousarray(values, np.float32), device=self._device)
+
+
+def _rows(part: Part) -> Any:
+    """Which of a part's Gaussians are drawn: a slice where no mask leaves out any, else their indices."""
+    count = part.drawn_count if part.opacity > 0 else 0
+    if part.left_out is None:
+        return slice(0, count)
+    indices = (~part.left_out).indices
+    return torch.from_numpy(indices[indices < count])
 
 
 def sh_basis(directions: Tensor) -> Tensor:

@@ -90,7 +90,8 @@ class CudaRenderer:
                 rgba = in_rain(rgba, image[..., 4:], slabs, falling)
             self.statistics.drops_drawn, self.statistics.haze_drawn = falling.drops_drawn, falling.haze_drawn
             self.statistics.splats_drawn += len(slabs.shapes)
-        self.statistics.gaussians = len(scene.means) + (len(falling.gaussians) if falling is not None else 0)
+        drawn = sum(part.drawn_count for part in parts)
+        self.statistics.gaussians = drawn + (len(falling.gaussians) if falling is not None else 0)
         self._frame = rgba, depth
         self._arrays.release_unused()
 

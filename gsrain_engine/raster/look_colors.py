@@ -13,10 +13,14 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.members import Part
 
 from .splats import Splats
+from .tint import TINT, TINT_SHARE
 
 
 def in_colors_of(look: Look, splats: Splats, parts: Sequence[Part], camera: Camera) -> Splats:
-    """Colour the splats of `parts` by their normals, opacity or layer; any other look leaves them as they are."""
+    """Colour the splats of `parts` by their normals, opacity or layer; any other look leaves them as they are.
+
+    What is selected is tinted here, too.
+    """
     if look not in ("normals", "opacity", "layers"):
         return splats
     colors = splats.colors.copy()
@@ -30,9 +34,12 @@ def in_colors_of(look: Look, splats: Splats, parts: Sequence[Part], camera: Came
             to_world = np.ascontiguousarray(part.to_world, np.float64)
             _normal_colors(rows, members, g.means, g.scales, g.quaternions, to_world, camera.position, colors)
         elif look == "opacity":
-            colors[rows, :3] = heat_colors(g.opacities[members])
+            colors[rows, :3] = heat_colors(g.opacities[members] * np.float32(part.opacity))
         else:
             colors[rows, :3] = layer_color(number)
+        if part.selected is not None:
+            tinted = rows[part.selected.flags[members]]
+            colors[tinted, :3] += np.float32(TINT_SHARE) * (np.array(TINT, np.float32) - colors[tinted, :3])
     return replace(splats, colors=colors)
 
 

@@ -5,13 +5,15 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64, UInt32
 
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Part
 
 from .spherical_harmonics import sh_basis
 from .splats import LOG_RAIN_CUT, LOG_SCENE_CUT, RAIN_ALPHA_CUT, Splats
+from .tint import TINT, TINT_SHARE
 
 NEAR_M = 0.2
 """Gaussians whose centre is nearer than this are left out, as in the reference rasterizer."""
@@ -30,8 +32,8 @@ def project(parts: Sequence[Part], camera: Camera, rain: _Flags | None = None, *
     """Project Gaussians.
 
     EWA splatting (Zwicker et al. 2002) as in 3DGS (Kerbl et al. 2023), with gsplat's limits for off-centre cameras.
-    What is nearer than `NEAR_M`, outside the image, fainter than its cut or not finite is left out. Memory is taken
-    for what may be seen only.
+    What is nearer than `NEAR_M`, outside the image, fainter than its cut, not finite or in its part's mask is left out.
+    Memory is taken for what may be seen only.
 
     Args:
         parts: Gaussians with their similarity to the world (metres).
@@ -54,7 +56,8 @@ def project(parts: Sequence[Part], camera: Camera, rain: _Flags | None = None, *
         fill = _project_few if len(own) < FEW else _project_part
         fill(
             own, g.means, scales, g.quaternions, g.opacities, g.sh, np.zeros(0, np.bool_) if flags is None else flags,
-            as_points, way, eye_in_object(camera, part), intrinsics, shapes[first:last], colors[first:last],
+            np.float32(part.opacity), _color_change(part), _words(part.selected), as_points, way,
+            eye_in_object(camera, part), intrinsics, shapes[first:last], colors[first:last],
         )  # fmt: skip
         indices[first:last] = own + counted
         first, counted = last, counted + len(g)
@@ -65,6 +68,16 @@ def _intrinsics(camera: Camera) -> tuple[float, ...]:
     # A tuple: unpacking an array would count references, which costs more than the whole projection.
     sizes = camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
     return tuple(float(size) for size in sizes)
+
+
+def _words(mask: Mask | None) -> UInt32[np.ndarray, " w"]:
+    """Bits of a mask, none where there is no mask; writable, since read-only arrays would need kernels of their own."""
+    return np.zeros(0, np.uint32) if mask is None else np.require(mask.words, np.uint32, ("C", "W"))
+
+
+def _color_change(part: Part) -> Float32[np.ndarray, "rows 4"]:
+    """The affine change of a part's display colours; no rows where there is none."""
+    return np.zeros((0, 4), np.float32) if part.colors is None else np.ascontiguousarray(part.colors, np.float32)
 
 
 def eye_in_object(camera: Camera, part: Part) -> Float64[np.ndarray, "3"]:
@@ -91,33 +104,34 @@ def _candidates(
     part: Part, object_to_camera: Float64[np.ndarray, "4 4"], intrinsics: tuple[float, ...], as_points: bool
 ) -> Int64[np.ndarray, " m"]:
     """Which Gaussians of a part may be seen: all that are, and few that are not."""
-    g, n = part.gaussians, part.drawn_count
+    g, n = part.gaussians, part.drawn_count if part.opacity > 0 else 0
     flags = np.empty(n, np.bool_)
     largest = part.growth * np.cbrt(abs(np.linalg.det(object_to_camera[:3, :3])))
-    least = -np.inf if as_points else RAIN_ALPHA_CUT
+    least = -np.inf if as_points or n == 0 else RAIN_ALPHA_CUT / part.opacity
+    left_out = _words(part.left_out)
     find = _find_few_candidates if n < FEW else _find_candidates
-    find(g.means[:n], g.scales[:n], g.opacities[:n], least, object_to_camera, largest, intrinsics, flags)
+    find(g.means[:n], g.scales[:n], g.opacities[:n], left_out, least, object_to_camera, largest, intrinsics, flags)
     return np.flatnonzero(flags)
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
-def _find_candidates(means, scales, opacities, least_opacity, m, scale, intrinsics, flags):
+def _find_candidates(means, scales, opacities, left_out, least_opacity, m, scale, intrinsics, flags):
     """Flag what comes near the image when each Gaussian is taken for a ball as large as its longest axis."""
     for chunk in numba.prange((len(means) + _CHUNK - 1) // _CHUNK):
         first, last = chunk * _CHUNK, min(len(means), (chunk + 1) * _CHUNK)
-        _flag_range(first, last, means, scales, opacities, least_opacity, m, scale, intrinsics, flags)
+        _flag_range(first, last, means, scales, opacities, left_out, least_opacity, m, scale, intrinsics, flags)
 
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check
-def _find_few_candidates(means, scales, opacities, least_opacity, m, scale, intrinsics, flags):
-    _flag_range(0, len(means), means, scales, opacities, least_opacity, m, scale, intrinsics, flags)
+def _find_few_candidates(means, scales, opacities, left_out, least_opacity, m, scale, intrinsics, flags):
+    _flag_range(0, len(means), means, scales, opacities, left_out, least_opacity, m, scale, intrinsics, flags)
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _flag_range(first, last, means, scales, opacities, least_opacity, m, scale, intrinsics, flags):
+def _flag_range(first, last, means, scales, opacities, left_out, least_opacity, m, scale, intrinsics, flags):
     fx, fy, cx, cy, width, height = intrinsics
     half_x, half_y = 0.5 * width, 0.5 * height
     # Longest extents in standard deviations, along a line of sight as slanted as `_shape` allows for.
@@ -135,54 +149,67 @@ def _flag_range(first, last, means, scales, opacities, least_opacity, m, scale, 
         is_near_x = abs(fx * px + (cx - half_x) * pz) <= (half_x + dot) * pz + reach_x * s
         is_near_y = abs(fy * py + (cy - half_y) * pz) <= (half_y + dot) * pz + reach_y * s
         flags[i] = pz > NEAR_M and is_near_x and is_near_y and opacities[i] > least_opacity
+    if len(left_out) > 0:  # by itself, so that the loop above stays without a branch
+        for i in range(first, last):
+            flags[i] = flags[i] and not _has(left_out, i)
+
+
+@numba.njit(inline="always", error_model="numpy")
+@no_type_check
+def _has(words, i):
+    """Whether Gaussian i is in a mask."""
+    return (words[i >> 5] >> np.uint32(i & 31)) & np.uint32(1) == np.uint32(1)
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _project_part(
-    members, means, scales, quaternions, opacities, sh, rain, as_points, object_to_camera, eye, intrinsics,
-    shapes, colors,
+    members, means, scales, quaternions, opacities, sh, rain, opacity, change, selected, as_points, object_to_camera,
+    eye, intrinsics, shapes, colors,
 ):  # fmt: skip
     """Fill shapes and colours of some Gaussians of one part; depth 0 for what is not to be drawn after all."""
     for chunk in numba.prange((len(members) + _CHUNK - 1) // _CHUNK):
         _project_range(
             chunk * _CHUNK, min(len(members), (chunk + 1) * _CHUNK), members, means, scales, quaternions, opacities, sh,
-            rain, as_points, object_to_camera, eye, intrinsics, shapes, colors,
+            rain, opacity, change, selected, as_points, object_to_camera, eye, intrinsics, shapes, colors,
         )  # fmt: skip
 
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check
 def _project_few(
-    members, means, scales, quaternions, opacities, sh, rain, as_points, object_to_camera, eye, intrinsics,
-    shapes, colors,
+    members, means, scales, quaternions, opacities, sh, rain, opacity, change, selected, as_points, object_to_camera,
+    eye, intrinsics, shapes, colors,
 ):  # fmt: skip
     _project_range(
-        0, len(members), members, means, scales, quaternions, opacities, sh, rain, as_points, object_to_camera, eye,
-        intrinsics, shapes, colors,
+        0, len(members), members, means, scales, quaternions, opacities, sh, rain, opacity, change, selected, as_points,
+        object_to_camera, eye, intrinsics, shapes, colors,
     )  # fmt: skip
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
 def _project_range(
-    first, last, members, means, scales, quaternions, opacities, sh, rain, as_points, object_to_camera, eye, intrinsics,
-    shapes, colors,
+    first, last, members, means, scales, quaternions, opacities, sh, rain, opacity, change, selected, as_points,
+    object_to_camera, eye, intrinsics, shapes, colors,
 ):  # fmt: skip
     basis = np.empty(16, np.float32)
     for n in range(first, last):
         i = members[n]
         is_rain = len(rain) > 0 and rain[i]
         depth = _shape(
-            means[i], scales[i], quaternions[i], opacities[i], is_rain, as_points, object_to_camera, intrinsics,
-            shapes[n],
+            means[i], scales[i], quaternions[i], opacity * opacities[i], is_rain, as_points, object_to_camera,
+            intrinsics, shapes[n],
         )  # fmt: skip
-        if not (depth > 0 and _color(means[i], sh[i], eye, basis, colors[n])):
+        if not (depth > 0 and _color(means[i], sh[i], eye, change, basis, colors[n])):
             for k in range(8):
                 shapes[n, k] = 0
             for k in range(3):
                 colors[n, k] = 0
             depth = 0.0
+        elif len(selected) > 0 and _has(selected, i):
+            for k in range(3):
+                colors[n, k] += np.float32(TINT_SHARE) * (np.float32(TINT[k]) - colors[n, k])
         colors[n, 3] = depth
 
 
@@ -255,8 +282,8 @@ def _along(length, x, y, z, ux, uy, uz, vx, vy, vz):
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def _color(mean, sh, eye, basis, color):
-    """Write the display colour, max(0, sum of harmonics + 0.5); return whether it is finite."""
+def _color(mean, sh, eye, change, basis, color):
+    """Write the display colour, max(0, change of (sum of harmonics + 0.5)); return whether it is finite."""
     x, y, z = mean[0] - eye[0], mean[1] - eye[1], mean[2] - eye[2]
     by_length = 1 / np.sqrt(x * x + y * y + z * z)
     coefficients = sh.shape[0]
@@ -266,5 +293,10 @@ def _color(mean, sh, eye, basis, color):
         red += basis[k] * sh[k, 0]
         green += basis[k] * sh[k, 1]
         blue += basis[k] * sh[k, 2]
+    if len(change) > 0:
+        r, g, b = red, green, blue
+        red = change[0, 0] * r + change[0, 1] * g + change[0, 2] * b + change[0, 3]
+        green = change[1, 0] * r + change[1, 1] * g + change[1, 2] * b + change[1, 3]
+        blue = change[2, 0] * r + change[2, 1] * g + change[2, 2] * b + change[2, 3]
     color[0], color[1], color[2] = max(red, np.float32(0)), max(green, np.float32(0)), max(blue, np.float32(0))
     return np.isfinite(red) and np.isfinite(green) and np.isfinite(blue)

@@ -11,6 +11,8 @@ from gsrain_engine.scene.members import Part
 from gsrain_engine.scene.rotations import matrices_from_quaternions
 from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
 
+from .tint import TINT, TINT_SHARE
+
 NEAR_M, DILATION_PX2, MAX_ALPHA, MIN_TRANSMITTANCE = 0.2, 0.3, 0.999, 1e-4
 SCENE_ALPHA_CUT, RAIN_ALPHA_CUT = 1 / 255, 1 / 65536
 
@@ -75,7 +77,8 @@ def _nearest_first(
     splats: list[_Splat] = []
     for index, part in enumerate(parts):
         flags = rain[index] if rain is not None else None
-        for i in range(len(part.gaussians)):
+        left_out = part.left_out.flags if part.left_out is not None else np.zeros(len(part.gaussians), bool)
+        for i in np.flatnonzero(~left_out[: part.drawn_count]).tolist():
             splat = _projected(part, i, camera, flags is not None and bool(flags[i]))
             if splat is not None:
                 splats.append(splat)
@@ -123,10 +126,10 @@ def _projected(part: Part, i: int, camera: Camera, is_rain: bool) -> _Splat | No
     slope_x = np.clip(x / z, -camera.cx / camera.fx - margin_x, (camera.width - camera.cx) / camera.fx + margin_x)
     slope_y = np.clip(y / z, -camera.cy / camera.fy - margin_y, (camera.height - camera.cy) / camera.fy + margin_y)
     jacobian = np.array([[camera.fx / z, 0, -camera.fx * slope_x / z], [0, camera.fy / z, -camera.fy * slope_y / z]])
-    axes = matrices_from_quaternions(g.quaternions[i].astype(np.float64)) * g.scales[i]
+    axes = matrices_from_quaternions(g.quaternions[i].astype(np.float64)) * g.scales[i] * part.growth
     half = jacobian @ object_to_camera[:3, :3] @ axes
     covariance = half @ half.T + DILATION_PX2 * np.eye(2)
-    opacity, cut = float(g.opacities[i]), SCENE_ALPHA_CUT
+    opacity, cut = float(g.opacities[i]) * part.opacity, SCENE_ALPHA_CUT
     if is_rain:
         opacity *= float(np.sqrt(max(np.linalg.det(half @ half.T), 0) / np.linalg.det(covariance)))
         cut = RAIN_ALPHA_CUT
@@ -139,7 +142,10 @@ def _color(part: Part, i: int, camera: Camera) -> Float64[np.ndarray, "3"]:
     direction = part.gaussians.means[i] - eye[:3]
     sh = part.gaussians.sh[i].astype(np.float64)
     basis = sh_basis_slowly(direction / np.linalg.norm(direction))[: len(sh)]
-    return np.maximum(basis @ sh + 0.5, 0)
+    color = basis @ sh + 0.5
+    color = np.maximum(color if part.colors is None else part.colors @ np.append(color, 1), 0)
+    is_selected = part.selected is not None and part.selected.flags[i]
+    return (1 - TINT_SHARE) * color + TINT_SHARE * np.array(TINT) if is_selected else color
 
 
 def sh_basis_slowly(direction: Float[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 16"]:

@@ -68,7 +68,7 @@ def rainy_preview(
     if not cameras:
         raise ValueError("a preview needs at least one camera")
     members, ground_m = scene_members(scene), ground_height_m(scene)
-    count = scene.gaussian_count
+    count = sum(len(each.gaussians) for each in members)
     views: list[_WetView] = []
     for i, each in enumerate(cameras):
         yield Progress(_VIEWS_DONE * i / len(cameras), f"Rendering view {i + 1} of {len(cameras)}")

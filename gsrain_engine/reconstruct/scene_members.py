@@ -50,9 +50,9 @@ class VisibleMembers:
 
 
 def visible_members(scene: Scene, members: list[Member], time_s: float) -> VisibleMembers:
-    """Pick what can be seen at a time, with its way to the world."""
+    """Pick what can be seen at a time, with its way to the world; grading comes on top of colours that are solved."""
     placed = [
-        (member, part)
+        (member, part._replace(colors=None))
         for member, shown in zip(members, scene.members, strict=True)
         if shown.visible and (part := scene.part(shown, time_s)) is not None
     ]

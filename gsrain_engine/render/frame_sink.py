@@ -1,69 +1,65 @@
-"""Where rendered frames go: a still, raw floats, a video, or a folder of numbered stills."""
+"""Where recorded frames go: a video, a still, or a folder of frames, with the passes beside them."""
 
-from collections.abc import Generator
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
-from typing import Protocol, runtime_checkable
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager, nullcontext
+from typing import Any
 
+import numpy as np
+from jaxtyping import UInt16
+
+from .exr import write_exr
 from .frame import Frame
-from .pictures import write_array, write_depth, write_picture
-from .video import SUFFIXES, VideoWriter
-
-
-@runtime_checkable
-class FrameSink(Protocol):
-    """Takes frames and knows what it has written."""
-
-    written: list[Path]
-
-    def write(self, number: int, frame: Frame) -> None:
-        """Take a frame of a sequence."""
-        ...
+from .pictures import write_alpha, write_array, write_depth, write_labels, write_legend, write_picture
+from .recorded_files import RecordedFiles
+from .recording import Recording
+from .video import VideoWriter
 
 
 @contextmanager
-def open_sink(path: Path, width: int, height: int, fps: float, *, with_depth: bool = False) -> Generator[FrameSink]:
-    """Choose by suffix: .png, .npy, .mp4, .webm; anything without a suffix is a folder of PNG frames.
+def open_sink(
+    recording: Recording, files: RecordedFiles, size_px: tuple[int, int], legend: Mapping[str, Any]
+) -> Generator["FrameSink"]:
+    """Open what takes the frames of one camera; `legend` says what labels mean.
 
-    Raises `ValueError` for another suffix.
+    Raises `ValueError` for what can't be encoded.
     """
-    suffix = path.suffix.lower()
-    with ExitStack() as stack:
-        if suffix in SUFFIXES:
-            if with_depth:
-                raise ValueError(f"{path}: depth can't go into a video; write a folder of frames")
-            yield _Video(path, stack.enter_context(VideoWriter(path, width, height, fps)))
-        elif suffix in (".png", ".npy", ""):
-            yield _Stills(path, with_depth)
-        else:
-            raise ValueError(f"{path}: an output ends in .png, .npy, .mp4 or .webm, or is a folder without a suffix")
+    video = nullcontext()
+    if files.is_video and "color" in files.passes:
+        codec, quality = recording.format, recording.quality
+        video = VideoWriter(files.path, *size_px, recording.fps, codec=codec, quality=quality)
+    with video as opened:
+        yield FrameSink(files, legend, opened)
 
 
-class _Video:
-    def __init__(self, path: Path, writer: VideoWriter) -> None:
-        self.written = [path]
-        self._writer = writer
+class FrameSink:
+    """Takes the frames of one camera. Those that are files of their own are there whole or not at all."""
 
-    def write(self, number: int, frame: Frame) -> None:
-        self._writer.write(frame.to_uint8())
+    def __init__(self, files: RecordedFiles, legend: Mapping[str, Any], video: VideoWriter | None) -> None:
+        self._files, self._legend, self._video = files, legend, video
+        self._has_legend = False
 
+    def write(self, number: int, frame: Frame | None, labels: UInt16[np.ndarray, "h w"] | None = None) -> None:
+        """Take a frame of a sequence. Raises `OSError` where it can't be written."""
+        if frame is not None and self._files.format == "exr":
+            write_exr(self._files.color(number), frame, self._files.passes)
+        elif frame is not None:
+            self._write_passes(number, frame)
+        if labels is not None:
+            write_labels(self._files.beside(number, "labels"), labels, len(self._legend) - 1)
+            if not self._has_legend:
+                write_legend(self._files.legend, self._legend)
+                self._has_legend = True
 
-class _Stills:
-    def __init__(self, path: Path, with_depth: bool) -> None:
-        self.written: list[Path] = []
-        self._path, self._with_depth = path, with_depth
-
-    def write(self, number: int, frame: Frame) -> None:
-        suffix = self._path.suffix.lower()
-        target = self._path if suffix else self._path / f"{number:06d}.png"
-        beside = target.with_name(f"{target.stem}.depth{target.suffix}")
-        if suffix == ".npy":
-            write_array(target, frame.rgba)
-        else:
-            write_picture(target, frame.to_uint8())
-        if self._with_depth and frame.depth is not None:
-            (write_array if suffix == ".npy" else write_depth)(beside, frame.depth)
-        if suffix:
-            self.written = [target, beside] if self._with_depth else [target]
-        else:
-            self.written = [self._path]
+    def _write_passes(self, number: int, frame: Frame) -> None:
+        files = self._files
+        if self._video is not None:
+            self._video.write(frame.to_uint8())
+        elif "color" in files.passes and files.format == "npy":
+            write_array(files.color(number), frame.rgba)
+        elif "color" in files.passes:
+            write_picture(files.color(number), frame.to_uint8())
+        if "depth" in files.passes and frame.depth is not None:
+            write = write_array if files.format == "npy" else write_depth
+            write(files.beside(number, "depth"), frame.depth)
+        if "alpha" in files.passes:
+            write_alpha(files.beside(number, "alpha"), frame.rgba[..., 3])

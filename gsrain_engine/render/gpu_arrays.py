@@ -1,17 +1,21 @@
 """Gaussians on the GPU: one set of buffers an array, uploaded once, in slices where a frame must not stall."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import moderngl
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, UInt8, UInt32
 
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.mask import Mask
 
 CHUNK = 1 << 19
 """Gaussians a buffer: at SH degree 3 that is 96 MiB, below the 128 MiB that a storage block may have on llvmpipe."""
+
+_RESTING_BYTES = 1 << 29
+"""Of arrays that nobody draws any more: a step back in the history, or the other of two pictures, finds them here."""
 
 Harmonics = Literal["single", "half", "byte"]
 """How colours lie on the GPU: 32-bit floats; halves; or the first harmonic in halves and the others in signed bytes.
@@ -44,10 +48,14 @@ _Key = tuple[int, ...]
 class _Array:
     """One array on the GPU; holds on to its source, so that the key (its identity) stays taken."""
 
-    sources: tuple[Float32[np.ndarray, "..."], ...]
+    sources: tuple[Any, ...]
     buffers: list[moderngl.Buffer]
     is_awaited: bool = True
     """Uploaded ahead of its first frame."""
+
+    @property
+    def nbytes(self) -> int:
+        return sum(buffer.size for buffer in self.buffers)
 
 
 class GpuArrays:
@@ -60,7 +68,10 @@ class GpuArrays:
         self._context = context
         self.harmonics: Harmonics = harmonics
         self._arrays: dict[_Key, _Array] = {}
+        """Those that were drawn last come last."""
+        self._marks: dict[_Key, _Array] = {}
         self._used: set[_Key] = set()
+        self._leaving: list[moderngl.Buffer] = []
 
     def buffers(self, gaussians: Gaussians) -> GaussianBuffers:
         """Return the buffers of a set, uploading what is not there yet."""
@@ -70,8 +81,9 @@ class GpuArrays:
         for sources in _sources(gaussians):
             key = tuple(map(id, sources))
             self._used.add(key)
-            self._arrays[key].is_awaited = False
-            found.append(self._arrays[key].buffers)
+            array = self._arrays[key] = self._arrays.pop(key)  # to the end
+            array.is_awaited = False
+            found.append(array.buffers)
         return GaussianBuffers(*found)
 
     def upload(self, gaussians: Gaussians, slice_size: int = CHUNK) -> Iterator[float]:
@@ -80,27 +92,83 @@ class GpuArrays:
         steps = max(1, sum(-(-len(gaussians) // slice_size) for _ in missing))
         done = 0
         for sources in missing:
-            array = _Array(sources, [])
-            row_bytes = self._packed(sources, slice(0, 1)).shape[1]
-            for start in range(0, len(gaussians), CHUNK):
-                array.buffers.append(self._context.buffer(reserve=row_bytes * min(CHUNK, len(gaussians) - start)))
-            for start in range(0, len(gaussians), slice_size):
-                for at in range(start, min(start + slice_size, len(gaussians)), CHUNK):
-                    stop = min(at + CHUNK - at % CHUNK, start + slice_size, len(gaussians))
-                    data = self._packed(sources, slice(at, stop))
-                    array.buffers[at // CHUNK].write(data, offset=row_bytes * (at % CHUNK))
-                done += 1
-                yield done / steps
-            self._arrays[tuple(map(id, sources))] = array
+            key, array = tuple(map(id, sources)), _Array(sources, [])
+            try:
+                for _ in self._written(array, slice_size):
+                    done += 1
+                    yield done / steps
+            except GeneratorExit:
+                self._leave(array)
+                raise
+            if key in self._arrays:  # a frame could not wait for it
+                self._leave(array)
+            else:
+                self._arrays[key] = array
 
-    def release_unused(self, *, awaited_too: bool = False) -> None:
-        """Free every array that nobody asked for since the last call; what waits for its first frame only if told."""
-        for key, array in list(self._arrays.items()):
-            if key not in self._used and (awaited_too or not array.is_awaited):
-                del self._arrays[key]
-                for buffer in array.buffers:
-                    buffer.release()
+    def _written(self, array: _Array, slice_size: int) -> Iterator[None]:
+        """Make an array's buffers and fill them, a slice at each step."""
+        count, row_bytes = len(array.sources[0]), self._packed(array.sources, slice(0, 1)).shape[1]
+        for start in range(0, count, CHUNK):
+            array.buffers.append(self._context.buffer(reserve=row_bytes * min(CHUNK, count - start)))
+        for start in range(0, count, slice_size):
+            for at in range(start, min(start + slice_size, count), CHUNK):
+                stop = min(at + CHUNK - at % CHUNK, start + slice_size, count)
+                data = self._packed(array.sources, slice(at, stop))
+                array.buffers[at // CHUNK].write(data, offset=row_bytes * (at % CHUNK))
+            yield
+
+    def missing(self, gaussians: Gaussians) -> int:
+        """How many Gaussians would have to be uploaded to draw these: all or none, were it for a single array."""
+        is_here = all(tuple(map(id, sources)) in self._arrays for sources in _sources(gaussians))
+        return 0 if is_here else len(gaussians)
+
+    def marks(self, left_out: Mask | None, selected: Mask | None) -> list[moderngl.Buffer]:
+        """Return the bits of both masks, word beside word, a buffer for each chunk; none where there is no mask."""
+        if left_out is None and selected is None:
+            return []
+        words = [each.words if each is not None else None for each in (left_out, selected)]
+        key = tuple(map(id, words))
+        self._used.add(key)
+        if key not in self._marks:
+            chunks = _packed_marks(words)
+            self._marks[key] = _Array(tuple(words), [self._context.buffer(chunk) for chunk in chunks])
+        return self._marks[key].buffers
+
+    @property
+    def mark_count(self) -> int:
+        """Pairs of masks that are here."""
+        return len(self._marks)
+
+    def release_unused(self) -> None:
+        """Free what nobody asked for since the last call, a buffer a call: giving memory back takes its time.
+
+        What waits for its first frame stays, and so do some of the arrays that were drawn before.
+        """
+        for key in [key for key in self._marks if key not in self._used]:
+            self._leave(self._marks.pop(key))
+        room = _RESTING_BYTES
+        for key, array in reversed(list(self._arrays.items())):
+            if key not in self._used and not array.is_awaited:
+                room -= array.nbytes
+                if room < 0:
+                    self._leave(self._arrays.pop(key))
         self._used.clear()
+        if self._leaving:
+            self._leaving.pop().release()
+
+    def release_awaited(self) -> None:
+        """Give up what was uploaded ahead of its first frame and has not been drawn yet."""
+        for key in [key for key, array in self._arrays.items() if array.is_awaited]:
+            self._leave(self._arrays.pop(key))
+
+    def release_all_but(self, kept: Iterable[Gaussians]) -> None:
+        """Free all arrays but those of some sets: another scene has come."""
+        keys = {tuple(map(id, sources)) for gaussians in kept for sources in _sources(gaussians)}
+        for key in [key for key in self._arrays if key not in keys]:
+            self._leave(self._arrays.pop(key))
+
+    def _leave(self, array: _Array) -> None:
+        self._leaving += array.buffers
 
     def keep_harmonics_as(self, harmonics: Harmonics) -> None:
         """Keep colours in another storage; those that are here are uploaded anew for their next frame.
@@ -139,6 +207,17 @@ def packed_harmonics(sh: Float32[np.ndarray, "m k 3"], storage: Harmonics) -> UI
     levels = np.clip(np.rint(rest / safe), -127, 127).astype(np.int8)
     head = _as_bytes(np.concatenate([_halves(flat[:, :3]), step], axis=1))
     return np.concatenate([head, _padded(_as_bytes(levels), 4)], axis=1)
+
+
+def _packed_marks(words: Sequence[UInt32[np.ndarray, " w"] | None]) -> Iterator[UInt32[np.ndarray, "c 2"]]:
+    """Two masks word beside word, 0 where one is missing, cut at chunks."""
+    count = max(len(each) for each in words if each is not None)
+    pairs = np.zeros((count, 2), np.uint32)
+    for column, each in enumerate(words):
+        if each is not None:
+            pairs[:, column] = each
+    for start in range(0, count, CHUNK // 32):
+        yield pairs[start : start + CHUNK // 32]
 
 
 def _halves(values: Float32[np.ndarray, "m n"]) -> "np.ndarray[tuple[int, int], np.dtype[np.float16]]":

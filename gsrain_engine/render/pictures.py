@@ -1,22 +1,53 @@
 """Pictures out: PNG stills and float arrays, whole or not at all."""
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Num, UInt8
+from jaxtyping import Float32, UInt8, UInt16
 from PIL import Image
 
 from gsrain_engine.scene.atomic_files import whole_file
 
+from .heat_colors import layer_color
+
+_PALETTE_COLORS = 255
+"""Labels that fit into an indexed picture of 8 bits, besides 0."""
+
 
 def write_picture(path: Path, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
     """Write an 8-bit picture as PNG."""
-    _write_png(path, pixels)
+    _write_png(path, Image.fromarray(pixels))
 
 
 def write_depth(path: Path, depth_m: Float32[np.ndarray, "h w"]) -> None:
     """Write depth as 16-bit PNG in centimetres; beyond 655.35 m it saturates, 0 is nothing."""
-    _write_png(path, np.rint(np.clip(depth_m * 100, 0, 65535)).astype(np.uint16))
+    _write_png(path, Image.fromarray(np.rint(np.clip(depth_m * 100, 0, 65535)).astype(np.uint16)))
+
+
+def write_alpha(path: Path, alpha: Float32[np.ndarray, "h w"]) -> None:
+    """Write alpha as 8-bit grey PNG; 255 is solid."""
+    _write_png(path, Image.fromarray(np.rint(np.clip(alpha, 0, 1) * 255).astype(np.uint8)))
+
+
+def write_labels(path: Path, labels: UInt16[np.ndarray, "h w"], count: int) -> None:
+    """Write labels 0..count as PNG: indexed, each in a colour of its own; more than 255 as 16-bit grey."""
+    if count > _PALETTE_COLORS:
+        _write_png(path, Image.fromarray(labels))
+        return
+    image = Image.fromarray(labels.astype(np.uint8))
+    colors = [(0.0, 0.0, 0.0), *(layer_color(number) for number in range(count))]
+    image.putpalette([round(255 * channel) for color in colors for channel in color])
+    _write_png(path, image)
+
+
+def write_legend(path: Path, legend: Mapping[str, Any]) -> None:
+    """Write what labels mean as JSON."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as beside:
+        beside.write_text(json.dumps(legend, indent=1) + "\n", encoding="utf-8")
 
 
 def write_array(path: Path, values: Float32[np.ndarray, "..."]) -> None:
@@ -26,7 +57,7 @@ def write_array(path: Path, values: Float32[np.ndarray, "..."]) -> None:
         np.save(file, values, allow_pickle=False)
 
 
-def _write_png(path: Path, pixels: Num[np.ndarray, "h w *c"]) -> None:
+def _write_png(path: Path, image: Image.Image) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as beside:
-        Image.fromarray(pixels).save(beside, format="PNG")
+        image.save(beside, format="PNG")

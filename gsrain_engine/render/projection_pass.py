@@ -27,6 +27,11 @@ _LOOKS: dict[Look, int] = {"points": 1, "normals": 2, "opacity": 3, "layers": 4}
 _LONGEST_DISPATCH = 1 << 15
 """Workgroups along one axis, half of what every driver allows."""
 
+_MARKS = 6
+"""Binding of the masks: of the eight that every driver has, the one that is left."""
+
+_SAME_COLORS = np.eye(3, 4)
+
 
 class Slots(NamedTuple):
     """What a frame takes of a store."""
@@ -58,7 +63,7 @@ class ProjectionPass:
         look: Look,
     ) -> Slots:
         """Write the visible splats of parts and rain into the store."""
-        rows = [(part, False) for part in parts]
+        rows = [(part if part.opacity > 0 else part._replace(limit=0), False) for part in parts]
         field = rain.streak_field if isinstance(rain, FallingRain) else None
         if rain is not None:
             given = rain.haze_gaussians if isinstance(rain, FallingRain) else rain.gaussians
@@ -102,7 +107,12 @@ class ProjectionPass:
     def _dispatch(self, shader: moderngl.ComputeShader, part: Part, camera: Camera, first: int) -> None:
         gaussians = part.gaussians
         object_to_camera = camera.world_to_camera @ part.to_world
+        colors = _SAME_COLORS if part.colors is None else part.colors
+        marks = self._arrays.marks(part.left_out, part.selected)
         shader["growth"] = part.growth
+        shader["layer_opacity"] = part.opacity
+        shader["color_change"] = tuple(colors.T.ravel())
+        shader["has_marks"] = bool(marks)
         shader["coefficients"] = gaussians.sh.shape[1]
         shader["object_to_camera"] = tuple(object_to_camera.T.ravel())
         shader["camera_in_object"] = tuple(np.linalg.inv(object_to_camera)[:3, 3])
@@ -112,6 +122,8 @@ class ProjectionPass:
                 break
             for binding, buffer in enumerate(chunk):
                 buffer.bind_to_storage_buffer(binding)
+            if marks:
+                marks[index].bind_to_storage_buffer(_MARKS)
             shader["count"] = count
             shader["first_slot"] = first + index * CHUNK
             shader.run(-(-count // SLOTS_BY_BLOCK))

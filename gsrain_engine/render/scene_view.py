@@ -27,12 +27,14 @@ class Shot:
     """Of the camera; none while it stands."""
     focal_px: float | None = None
     """Focal length of the output image where a smaller one is drawn; none takes the camera's."""
+    exposure_share: float = 1.0
+    """Of the shutter time, for one of several sub-frames that share it."""
 
 
 def draw_shot(
     renderer: Renderer,
     scene: Scene,
-    rainfall: Rainfall,
+    rainfall: Rainfall | None,
     sky: Color,
     shot: Shot,
     *,
@@ -41,11 +43,11 @@ def draw_shot(
     thinning: Thinning | None = None,
     selection: bool = False,
 ) -> None:
-    """Draw a scene in its rain into the renderer's picture, or with another look without it.
+    """Draw a scene in its rain into the renderer's picture; without it where there is none, or with another look.
 
     `thinning` leaves out some of each part's Gaussians; `selection` tints those that are selected.
     """
-    falling = rain_in(scene, rainfall, sky, shot) if look == "splats" else None
+    falling = rain_in(scene, rainfall, sky, shot) if rainfall is not None and look == "splats" else None
     parts = scene.parts(shot.time_s, selection=selection)
     if thinning is not None:
         parts = [thinning(part) for part in parts]
@@ -61,7 +63,7 @@ def rain_view(scene: Scene, rainfall: Rainfall, shot: Shot) -> View:
     """How the rain sees a shot: from where, how fast, around what its regions stand, and under which roofs."""
     velocity = shot.velocity_m_s if shot.velocity_m_s is not None else np.zeros(3)
     roofs = roofs_of(scene) if rainfall.rain.roofs else None
-    return View(shot.camera, rain_anchor(scene, rainfall, shot), velocity, shot.focal_px, roofs)
+    return View(shot.camera, rain_anchor(scene, rainfall, shot), velocity, shot.focal_px, roofs, shot.exposure_share)
 
 
 def rain_anchor(scene: Scene, rainfall: Rainfall, shot: Shot) -> Float64[np.ndarray, "4 4"]:

@@ -1,5 +1,6 @@
 """The colour of a scene's sky, which is that of its drops (paper, eq. 3): taken once, the same for every camera."""
 
+from collections.abc import Generator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from gsrain_engine.scene.scene import Scene
 
 from .frame import Color
 from .renderer import Renderer
+from .thinning import Thinning, thinned
 
 _VIEWS, _WIDTH, _HEIGHT, _FOV_DEG = 4, 160, 120, 75.0
 _FAR_M = 60.0
@@ -31,17 +33,34 @@ def sky_color(renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0
     Sky is what a sky layer shows past everything else; in a scene without one, what is far above the horizon. Where
     there is neither, drops take the colour of an overcast sky.
     """
+    looking = looking_at_sky(renderer, scene, place, time_s)
+    while True:
+        try:
+            next(looking)
+        except StopIteration as end:
+            return end.value
+
+
+def looking_at_sky(
+    renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0.0, thinning: Thinning | None = None
+) -> Generator[None, None, Sky]:
+    """Do what `sky_color` does, one picture a step, so that frames can go between them; the return value is the sky.
+
+    `thinning` leaves out some of the Gaussians, for a first answer.
+    """
     found: list[np.ndarray] = []
     sky = [layer for layer in scene.layers if layer.kind == "sky" and layer.visible]
     without_sky = replace(scene, layers=tuple(layer for layer in scene.layers if layer.kind != "sky"))
     for camera in _look_around(place):
-        renderer.draw(scene.parts(time_s), camera, with_depth=True)
+        renderer.draw(thinned(scene.parts(time_s), thinning), camera, with_depth=True)
         frame = renderer.read()
         assert frame.depth is not None
         alpha = frame.rgba[..., 3]
+        yield
         if sky:
-            renderer.draw(without_sky.parts(time_s), camera)
+            renderer.draw(thinned(without_sky.parts(time_s), thinning), camera)
             mask = (renderer.read().rgba[..., 3] < 0.05) & (alpha > 0.5)
+            yield
         else:
             mask = (alpha > 0.5) & (frame.depth > _FAR_M) & (np.arange(_HEIGHT)[:, None] < _horizon_row(camera))
         found.append(frame.rgba[mask][:, :3] / alpha[mask][:, None])

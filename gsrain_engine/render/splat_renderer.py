@@ -123,7 +123,7 @@ class SplatRenderer:
         weighted, weight = np.moveaxis(self._fetch(depth), -1, 0)
         return Frame(rgba, np.where(weight > 0.5, weighted / np.maximum(weight, np.float32(0.5)), np.float32(0)))
 
-    def upload(self, gaussians: Gaussians, slice_size: int = CHUNK // 16) -> Iterator[float]:
+    def upload(self, gaussians: Gaussians, slice_size: int = CHUNK // 64) -> Iterator[float]:
         """Bring Gaussians to the GPU ahead of their first frame, a slice at each step."""
         return self.arrays.upload(gaussians, slice_size)
 

@@ -1,69 +1,104 @@
-"""Video out by PyAV: H.264 in MP4 or VP9 in WebM, the same bytes every time, playable whenever it stops."""
+"""Video out by PyAV: H.264 or AV1 in MP4, VP9 or AV1 in WebM, the same bytes every time, playable whenever it stops."""
 
+import os
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import av
 import numpy as np
 from jaxtyping import UInt8
+
+from .recording import USUAL_QUALITY
+from .torn_file import TornFile
 
 SUFFIXES = (".mp4", ".webm")
 
 _GROUP = 30
 """Frames between key frames: what a torn file can lose at most."""
 
-_ENCODERS: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
-    # A fragmented file is complete up to its last fragment even after kill -9. mbtree=0: its lookahead depends on the
-    # number of threads, and so would the bytes.
-    ".mp4": (
-        "libx264",
-        {"preset": "medium", "crf": "18", "x264-params": "mbtree=0"},
-        {"movflags": "hybrid_fragmented", "flush_packets": "1"},
-    ),
-    ".webm": (
-        "libvpx-vp9",
-        {"crf": "24", "b": "0", "deadline": "good", "cpu-used": "4"},
-        {"fflags": "+bitexact", "cluster_time_limit": "1000"},
-    ),
+
+class _Encoder(NamedTuple):
+    name: str
+    options: dict[str, str]
+
+
+_ENCODERS = {
+    # mbtree=0: its lookahead depends on the number of threads, and so would the bytes.
+    "h264": _Encoder("libx264", {"preset": "medium", "x264-params": "mbtree=0"}),
+    "vp9": _Encoder("libvpx-vp9", {"b": "0", "deadline": "good", "cpu-used": "4"}),
+    "av1": _Encoder("libsvtav1", {"preset": "8", "svtav1-params": "lp=1"}),
 }
+_CONTAINERS = {
+    # A fragmented file is complete up to its last fragment even after kill -9.
+    ".mp4": {"movflags": "hybrid_fragmented", "flush_packets": "1"},
+    ".webm": {"fflags": "+bitexact", "cluster_time_limit": "1000"},
+}
+_CODECS = {".mp4": ("h264", "av1"), ".webm": ("vp9", "av1")}
 
 
 class VideoWriter:
     """Writes frames of one size. Use it in a `with` block: leaving it, even by an exception, ends the file properly."""
 
-    def __init__(self, path: Path, width: int, height: int, fps: float) -> None:
-        """Open a video file; its suffix chooses the format.
+    def __init__(
+        self,
+        path: Path,
+        width: int,
+        height: int,
+        fps: float,
+        *,
+        codec: str | None = None,
+        quality: int | None = None,
+    ) -> None:
+        """Open a video file; its suffix chooses the format, and the codec where none is named.
 
-        Raises `ValueError` for a suffix or a size that can't be encoded.
+        `quality` is the encoder's constant rate factor: lower is better and larger.
+
+        Raises `ValueError` for a suffix, a codec or a size that can't be encoded.
         """
-        if path.suffix.lower() not in _ENCODERS:
+        suffix = path.suffix.lower()
+        if suffix not in _CODECS:
             raise ValueError(f"{path}: a video ends in {' or '.join(SUFFIXES)}")
+        if codec is not None and codec not in _CODECS[suffix]:
+            raise ValueError(f"{path}: {suffix} holds {' or '.join(_CODECS[suffix])}, not {codec}")
         if width % 2 or height % 2:
             raise ValueError(f"{path}: a video needs an even width and height, got {width}x{height}")
-        codec, options, container = _ENCODERS[path.suffix.lower()]
+        codec = codec or _CODECS[suffix][0]
+        encoder = _ENCODERS[codec]
+        options = {"crf": str(USUAL_QUALITY[codec] if quality is None else quality), **encoder.options}
+        if encoder.name == "libsvtav1":
+            os.environ.setdefault("SVT_LOG", "1")  # errors only: it is talkative on the console
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._container: Any = av.open(str(path), mode="w", options=container)
+        self._file = TornFile(path)
+        self._container: Any = av.open(self._file, mode="w", format=suffix[1:], options=_CONTAINERS[suffix])
         rate = Fraction(fps).limit_denominator(1001)
-        self._stream: Any = self._container.add_stream(codec, rate=rate, options=options)
+        self._stream: Any = self._container.add_stream(encoder.name, rate=rate, options=options)
         self._stream.width, self._stream.height = width, height
         self._stream.pix_fmt = "yuv420p"
         self._stream.codec_context.gop_size = _GROUP
 
     def write(self, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
-        """Add a frame."""
+        """Add a frame. Raises `OSError` where it can't be written."""
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
         self._container.mux(self._stream.encode(frame))
+        self._file.check()
 
     def close(self) -> None:
-        """Write what the encoder still holds and end the file."""
+        """Write what the encoder still holds and end the file. Raises `OSError` where it can't be written."""
         if self._container is not None:
-            self._container.mux(self._stream.encode(None))
-            self._container.close()
-            self._container = None
+            container, self._container = self._container, None
+            container.mux(self._stream.encode(None))
+            container.close()
+            self._file.close()
+            self._file.check()
 
     def __enter__(self) -> "VideoWriter":
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None and issubclass(kind, OSError):
+            with suppress(OSError):  # a full disk has been told already
+                self.close()
+        else:
+            self.close()

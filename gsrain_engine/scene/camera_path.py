@@ -1,15 +1,19 @@
-"""A camera that moves: keyframes with a spline through positions, one through rotations, and a field of view."""
+"""A camera that moves: keys with curves through positions, rotations and fields of view."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.interpolate import CubicSpline, PchipInterpolator
-from scipy.spatial.transform import Rotation, RotationSpline
+from scipy.spatial.transform import Rotation
 
 from .camera import DEFAULT_EXPOSURE_S, Camera
+from .path_curves import Interpolation, PathCurves
+from .path_easing import Eased, Easing, eased
 from .rotations import matrices_from_quaternions, quaternions_from_matrices
+
+_KEYS_OF_A_CIRCLE = 12
+"""A spline through so many keys is off the circle by 0.02 % of its radius."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,25 +21,39 @@ class CameraPath:
     """Keyframes of a flight. Camera axes are OpenCV's (x right, y down, z forward); the world is that of the caller."""
 
     times_s: Float64[np.ndarray, " k"]
-    """Rising."""
+    """Rising; moments of the scene, so that a flight meets the same traffic and the same rain each time."""
     positions: Float64[np.ndarray, "k 3"]
     quaternions_wxyz: Float64[np.ndarray, "k 4"]
     """Camera to world, unit."""
     vertical_fov_deg: Float64[np.ndarray, " k"]
     exposure_s: float = DEFAULT_EXPOSURE_S
+    interpolation: Interpolation = "spline"
+    easing: Easing = "none"
+    loop: bool = False
+    """Fly from the last key on to the first, in as long as the other intervals take on average, and so on for ever."""
 
     def __post_init__(self) -> None:
         if len(self.times_s) == 0 or np.any(np.diff(self.times_s) <= 0):
             raise ValueError("a camera path needs at least one keyframe, with rising times")
 
     @property
+    def start_s(self) -> float:
+        """Moment of the first key."""
+        return float(self.times_s[0])
+
+    @property
+    def end_s(self) -> float:
+        """Moment of the last key; of a loop, when it is back at the first one."""
+        return float(self._knots_s[-1])
+
+    @property
     def duration_s(self) -> float:
-        """Time from the first key to the last."""
-        return float(self.times_s[-1] - self.times_s[0])
+        """Time from the first key to the last, and of a loop back to the first."""
+        return float(self._knots_s[-1] - self._knots_s[0])
 
     def camera(self, time_s: float, width: int, height: int) -> Camera:
-        """Camera at a time; before the first key and after the last it stands still."""
-        t = self._clamped(time_s)
+        """Camera at a time; before the first key and after the last it stands still, unless it loops."""
+        t = float(self._at(np.array([time_s])).times_s[0])
         camera_to_world = np.eye(4)
         camera_to_world[:3, :3] = self._rotation(t)
         camera_to_world[:3, 3] = self._position(t)
@@ -44,46 +62,69 @@ class CameraPath:
 
     def velocity(self, time_s: float) -> Float64[np.ndarray, "3"]:
         """Velocity of the camera in world units a second; zero outside the keys."""
-        if len(self.times_s) < 2 or not self.times_s[0] <= time_s <= self.times_s[-1]:
-            return np.zeros(3)
-        return self._position_spline(time_s, 1)
+        return self.velocities(np.array([float(time_s)]))[0]
+
+    def velocities(self, times_s: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, "t 3"]:
+        """Velocities of the camera at many moments, as `velocity` gives them."""
+        if len(self.times_s) < 2:
+            return np.zeros((len(times_s), 3))
+        at = self._at(times_s)
+        flying = self.loop | ((self.start_s <= times_s) & (times_s <= self.end_s))
+        return np.where(flying[:, None], at.rates[:, None] * self._curves.positions(at.times_s, 1), 0.0)
+
+    def places(self, times_s: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, "t 3"]:
+        """Positions of the camera at many moments."""
+        if len(self.times_s) < 2:
+            return np.repeat(self.positions, len(times_s), axis=0)
+        return self._curves.positions(self._at(times_s).times_s)
+
+    def turns(self, times_s: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, "t 3 3"]:
+        """Rotations, camera to world, at many moments."""
+        if len(self.times_s) < 2:
+            return np.repeat(matrices_from_quaternions(self.quaternions_wxyz), len(times_s), axis=0)
+        return self._curves.rotations(self._at(times_s).times_s).as_matrix()
 
     def moved(self, similarity: Float64[np.ndarray, "4 4"]) -> "CameraPath":
         """Return the path in a world that was moved, turned and scaled (scene units to metres, say)."""
         turn = similarity[:3, :3] / np.cbrt(np.linalg.det(similarity[:3, :3]))
-        return CameraPath(
-            self.times_s,
-            self.positions @ similarity[:3, :3].T + similarity[:3, 3],
-            quaternions_from_matrices(turn @ matrices_from_quaternions(self.quaternions_wxyz)),
-            self.vertical_fov_deg,
-            self.exposure_s,
+        return replace(
+            self,
+            positions=self.positions @ similarity[:3, :3].T + similarity[:3, 3],
+            quaternions_wxyz=quaternions_from_matrices(turn @ matrices_from_quaternions(self.quaternions_wxyz)),
         )
 
-    def _clamped(self, time_s: float) -> float:
-        return float(np.clip(time_s, self.times_s[0], self.times_s[-1]))
+    def _at(self, times_s: Float64[np.ndarray, " t"]) -> Eased:
+        """Moments within the flight, with easing."""
+        knots = self._knots_s
+        if self.loop and len(knots) > 1:
+            within = knots[0] + np.mod(times_s - knots[0], knots[-1] - knots[0])
+        else:
+            within = np.clip(times_s, knots[0], knots[-1])
+        return eased(self.easing, knots, within)
 
     def _position(self, t: float) -> Float64[np.ndarray, "3"]:
-        return self.positions[0] if len(self.times_s) < 2 else self._position_spline(t)
+        return self.positions[0] if len(self.times_s) < 2 else self._curves.positions(t)
 
     def _rotation(self, t: float) -> Float64[np.ndarray, "3 3"]:
         if len(self.times_s) < 2:
             return matrices_from_quaternions(self.quaternions_wxyz[0])
-        return self._rotation_spline(t).as_matrix()
+        return self._curves.rotations(t).as_matrix()
 
     def _fov(self, t: float) -> float:
-        return float(self.vertical_fov_deg[0] if len(self.times_s) < 2 else self._fov_spline(t))
+        return float(self.vertical_fov_deg[0] if len(self.times_s) < 2 else self._curves.fields_of_view(t))
 
     @cached_property
-    def _position_spline(self) -> CubicSpline:
-        return CubicSpline(self.times_s, self.positions, bc_type="natural")
+    def _knots_s(self) -> Float64[np.ndarray, " k"]:
+        """Moments of the keys; of a loop, also when it closes."""
+        times = self.times_s
+        if not self.loop or len(times) < 2:
+            return times
+        return np.append(times, times[-1] + (times[-1] - times[0]) / (len(times) - 1))
 
     @cached_property
-    def _rotation_spline(self) -> RotationSpline:
-        return RotationSpline(self.times_s, Rotation.from_quat(self.quaternions_wxyz[:, [1, 2, 3, 0]]))
-
-    @cached_property
-    def _fov_spline(self) -> PchipInterpolator:
-        return PchipInterpolator(self.times_s, self.vertical_fov_deg)
+    def _curves(self) -> PathCurves:
+        keys = self.times_s, self.positions, self.quaternions_wxyz, self.vertical_fov_deg
+        return PathCurves.through(*keys, self.interpolation, self.duration_s if self.loop else None)
 
 
 def orbit_path(
@@ -91,11 +132,26 @@ def orbit_path(
 ) -> CameraPath:
     """Swing around a point, from one side of a camera's place to the other, looking as it does. World z is up."""
     angles = np.radians(np.linspace(-sweep_deg / 2, sweep_deg / 2, 9))
+    return _around(center, camera, angles, np.linspace(0, duration_s, len(angles)))
+
+
+def circle_path(center: Float64[np.ndarray, "3"], camera: Camera, duration_s: float) -> CameraPath:
+    """Fly round a point for ever, from a camera's place on, looking as it does. World z is up."""
+    shares = np.arange(_KEYS_OF_A_CIRCLE) / _KEYS_OF_A_CIRCLE
+    return replace(_around(center, camera, 2 * np.pi * shares, duration_s * shares), loop=True)
+
+
+def _around(
+    center: Float64[np.ndarray, "3"],
+    camera: Camera,
+    angles: Float64[np.ndarray, " k"],
+    times: Float64[np.ndarray, " k"],
+) -> CameraPath:
+    """Keys of a camera that is turned around a point by angles in radians."""
     turns = Rotation.from_euler("z", angles[:, None]).as_matrix()
     pose = camera.camera_to_world
     rotations = turns @ pose[:3, :3]
     positions = (turns @ (pose[:3, 3] - center)) + center
-    times = np.linspace(0, duration_s, len(angles))
     fov = np.full(len(angles), camera.vertical_fov_deg)
     return CameraPath(times, positions, quaternions_from_matrices(rotations), fov, camera.exposure_s)
 

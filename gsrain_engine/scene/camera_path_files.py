@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import Float64
@@ -11,9 +11,12 @@ from jaxtyping import Float64
 from .atomic_files import whole_file
 from .camera_path import CameraPath
 from .errors import SceneFormatError
+from .path_curves import Interpolation
+from .path_easing import Easing
 from .rotations import normalized, quaternions_from_matrices
 
-VERSION = 1
+VERSION = 2
+"""Since 2: interpolation, easing, loop. A path that has none of them is written as version 1, for older readers."""
 _KEYS_PER_SECOND = 1.0
 """Speed at which a list of training cameras, which has no times, is flown along."""
 
@@ -42,6 +45,13 @@ def read_camera_path(path: Path | str) -> CameraPath:
 
 def write_camera_path(path: Path | str, camera_path: CameraPath) -> None:
     """Write a camera path as our own JSON."""
+    text = json.dumps(plain_camera_path(camera_path), indent=1) + "\n"
+    with whole_file(Path(path)) as beside:
+        beside.write_text(text, encoding="utf-8")
+
+
+def plain_camera_path(camera_path: CameraPath) -> dict[str, Any]:
+    """Plain values of a camera path, as in our own JSON."""
     keyframes = [
         {"time_s": t, "position": p, "quaternion_wxyz": q, "vertical_fov_deg": fov}
         for t, p, q, fov in zip(
@@ -52,30 +62,47 @@ def write_camera_path(path: Path | str, camera_path: CameraPath) -> None:
             strict=True,
         )
     ]
-    text = json.dumps({"version": VERSION, "keyframes": keyframes}, indent=1) + "\n"
-    with whole_file(Path(path)) as beside:
-        beside.write_text(text, encoding="utf-8")
+    between = {"interpolation": camera_path.interpolation, "easing": camera_path.easing, "loop": camera_path.loop}
+    if between == {"interpolation": "spline", "easing": "none", "loop": False}:
+        return {"version": 1, "keyframes": keyframes}
+    return {"version": VERSION, **between, "keyframes": keyframes}
 
 
 def _reader(values: Any, path: Path | str) -> Callable[[Any], CameraPath]:
+    if isinstance(values, dict) and "camera_path" in values:  # nerfstudio's own has keyframes too
+        return _nerfstudio
     if isinstance(values, dict) and "keyframes" in values:
         if values.get("version", VERSION) > VERSION:
             raise SceneFormatError(path, f"version {values['version']} is newer than {VERSION}, which this reads")
-        return _own
-    if isinstance(values, dict) and "camera_path" in values:
-        return _nerfstudio
+        return camera_path_of_plain
     if isinstance(values, list) and values:
         return _training_cameras
     raise SceneFormatError(path, "expected keyframes, a nerfstudio camera_path, or a 3DGS list of cameras")
 
 
-def _own(values: dict[str, Any]) -> CameraPath:
+def camera_path_of_plain(values: dict[str, Any]) -> CameraPath:
+    """Camera path of plain values as in our own JSON; raises `KeyError`, `TypeError` or `ValueError` where they aren't.
+
+    Numbers are taken as they are: `read_camera_path` looks at them too.
+    """
     keys = values["keyframes"]
+    interpolation, easing, loop = (
+        values.get("interpolation", "spline"),
+        values.get("easing", "none"),
+        values.get("loop"),
+    )
+    if interpolation not in get_args(Interpolation):
+        raise ValueError(f"interpolation {interpolation!r} must be one of {', '.join(get_args(Interpolation))}")
+    if easing not in get_args(Easing):
+        raise ValueError(f"easing {easing!r} must be one of {', '.join(get_args(Easing))}")
     return CameraPath(
         np.array([key["time_s"] for key in keys], np.float64),
         np.array([key["position"] for key in keys], np.float64).reshape(-1, 3),
         normalized(np.array([key["quaternion_wxyz"] for key in keys], np.float64).reshape(-1, 4)),
         np.array([key["vertical_fov_deg"] for key in keys], np.float64),
+        interpolation=interpolation,
+        easing=easing,
+        loop=bool(loop),
     )
 
 

@@ -45,11 +45,11 @@ def flattened(scene: Scene, time_s: float = 0.0) -> Gaussians:
     """
     world_to_file = np.eye(4)
     world_to_file[:3, :3] = rotation_to_z_up(FILE_UP).T
-    return Gaussians.concatenate([moved(_baked(part), world_to_file @ part.to_world) for part in scene.parts(time_s)])
+    return Gaussians.concatenate([moved(baked(part), world_to_file @ part.to_world) for part in scene.parts(time_s)])
 
 
-def _baked(part: Part) -> Gaussians:
-    """What remains of a part, with its opacity and grading in the Gaussians themselves."""
+def baked(part: Part) -> Gaussians:
+    """Return what remains of a part, with its opacity and grading in the Gaussians themselves."""
     gaussians = part.remaining
     if part.opacity != 1:
         gaussians = replace(gaussians, opacities=gaussians.opacities * np.float32(part.opacity))

@@ -1,6 +1,6 @@
 """A scene: layers and actors, and how they lie in the world; with what else a scene folder holds."""
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -65,6 +65,11 @@ class Scene:
         matrix = np.eye(4)
         matrix[:3, :3] = self.metres_per_unit * rotation_to_z_up(self.up)
         return matrix
+
+    @property
+    def appearance(self) -> Hashable:
+        """What a picture depends on: equal for two scenes that look the same; only their paths or notes differ."""
+        return self.layers, self.actors, self.metres_per_unit, self.up, self.ground_m, self.ego
 
     @property
     def members(self) -> tuple[Layer | Actor, ...]:

@@ -53,7 +53,9 @@ def rotate_sh(sh: Float32[np.ndarray, "n k 3"], rotation: Float[np.ndarray, "3 3
     degrees = COEFFICIENTS_OF_DEGREE.index(sh.shape[1])
     for degree, matrix in enumerate(_rotation_matrices(rotation, degrees), start=1):
         band = slice(degree**2, (degree + 1) ** 2)
-        turned[:, band] = np.einsum("ij,njc->nic", matrix.astype(np.float32), sh[:, band])
+        # One product of matrices for all three colours is several times faster than one for each.
+        of_colors = np.kron(matrix, np.eye(3)).astype(np.float32).T
+        turned[:, band] = (sh[:, band].reshape(len(sh), len(of_colors)) @ of_colors).reshape(len(sh), len(matrix), 3)
     return turned
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from .rotations import matrices_from_quaternions
+from .rotations import matrices_from_quaternions, quaternions_from_matrices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +37,12 @@ class Track:
         )
         matrix[:3, 3] = (1 - part) * self.positions[lower] + part * self.positions[upper]
         return matrix
+
+    def moved(self, similarity: Float64[np.ndarray, "4 4"]) -> "Track":
+        """Return the track moved, turned and scaled, all samples alike."""
+        turn = similarity[:3, :3] / np.cbrt(np.linalg.det(similarity[:3, :3]))
+        quaternions = quaternions_from_matrices(turn @ matrices_from_quaternions(self.quaternions_wxyz))
+        return Track(self.times, self.positions @ similarity[:3, :3].T + similarity[:3, 3], quaternions, self.valid)
 
 
 def _slerp(start: Float64[np.ndarray, "4"], end: Float64[np.ndarray, "4"], part: float) -> Float64[np.ndarray, "4"]:

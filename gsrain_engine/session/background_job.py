@@ -1,6 +1,6 @@
 """What the Jobs panel shows of any work that goes on behind the window."""
 
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 from gsrain_engine.scene.progress import Progress
 
@@ -28,3 +28,12 @@ class BackgroundJob(Protocol):
     def cancel(self) -> None:
         """Stop, wherever it is, without waiting; the document stays as it was."""
         ...
+
+
+class JobPreview(NamedTuple):
+    """A picture that a panel can show."""
+
+    texture: int
+    """Name of the OpenGL texture; first row on top."""
+    width: int
+    height: int

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.weather import WITHOUT_CHANGE, Weather
 from gsrain_engine.scene.scene import Scene
 
 
@@ -12,6 +13,8 @@ class Document:
 
     scene: Scene
     rain: Rain
+    weather: Weather = WITHOUT_CHANGE
+    """How the rain changes over time."""
 
     def with_scene(self, scene: Scene) -> "Document":
         """Return the document with another scene."""
@@ -20,6 +23,10 @@ class Document:
     def with_rain(self, rain: Rain) -> "Document":
         """Return the document in another rain."""
         return replace(self, rain=rain)
+
+    def with_weather(self, weather: Weather) -> "Document":
+        """Return the document with another course of the rain over time."""
+        return replace(self, weather=weather)
 
 
 @dataclass(slots=True)

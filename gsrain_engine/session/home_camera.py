@@ -11,7 +11,8 @@ from gsrain_engine.scene.scene import RigCamera, Scene
 
 _FOV_DEG = 50.0
 _LOOKING_DOWN_DEG = 8.0
-_ORBIT_S = 8.0
+ORBIT_S = 8.0
+"""How long the swing around a scene takes that has no drive."""
 
 
 def home_camera(scene: Scene, width: int, height: int) -> Camera:
@@ -37,7 +38,7 @@ def default_path(scene: Scene, width: int, height: int) -> CameraPath:
     if front is not None:
         return drive_path(scene, front, width, height)
     low, high = scene_bounds(scene)
-    return orbit_path((low + high) / 2, home_camera(scene, width, height), _ORBIT_S)
+    return orbit_path((low + high) / 2, home_camera(scene, width, height), ORBIT_S)
 
 
 def front_camera(scene: Scene) -> RigCamera | None:

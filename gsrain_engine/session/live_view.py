@@ -14,13 +14,16 @@ from gsrain_engine.render.pictures import write_picture
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.scene_view import Shot, draw_shot
 from gsrain_engine.render.screen import Screen
-from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.render.splat_renderer import SplatRenderer
 from gsrain_engine.render.thinning import Thinning
+from gsrain_engine.scene.scene import Scene
 
 from .cpu_picture import CpuPicture
 from .interaction_budget import EXACT, Detail
+from .scene_upload import SceneUpload
 from .session import Session, Side, WindowBackend
+from .sky_pick import SkyPick, color_there
+from .sky_watch import SkyWatch
 from .staged_scene import StagedScene
 
 logger = logging.getLogger("gsrain")
@@ -32,7 +35,10 @@ _LOADING_S = 2.0
 """Kernels from the cache are there by then, on a busy machine too; if not, some of them had to be compiled."""
 
 _UPLOAD_S = 0.01
-"""Of each frame, for bringing slices of a staged scene to the GPU."""
+"""Of each frame, for bringing slices of a scene to the GPU."""
+
+_AT_ONCE = 1 << 16
+"""So many new Gaussians a frame uploads by the way; for more of them the last scene stays in the picture meanwhile."""
 
 
 class LiveView:
@@ -54,10 +60,16 @@ class LiveView:
             self._waits_until = time.perf_counter() + _LOADING_S
         self._on_cpu = False
         self._sides = (_SidePicture(context), _SidePicture(context))
+        self._sky = SkyWatch()
         self._moment: Shot | None = None
+        self._is_moving = False
         self._asked_at = 0.0
         self._staged: StagedScene | None = None
-        self._upload: Iterator[float] = iter(())
+        self._preparing: Iterator[None] = iter(())
+        self._upload = SceneUpload(self._opengl)
+        self._is_uploading = False
+        """Whether a side still shows an older scene."""
+        self._upload_until = 0.0
         self._thinnings: dict[float, Thinning] = {}
         self._thinned = session.scene
 
@@ -73,16 +85,20 @@ class LiveView:
         self._on_cpu = self._cpu is not None and self._cpu.is_ready  # once a frame: it may become so at any moment
         if session.view.harmonics != self._opengl.arrays.harmonics:
             self._opengl.arrays.keep_harmonics_as(session.view.harmonics)
+            self._upload.give_up()
             self._staged = None  # its upload begins anew
-        self._go_on_uploading()
+        self._is_uploading, self._upload_until = False, time.perf_counter() + _UPLOAD_S
+        self._prepare_staged()
         sides = session.sides
         detail = self._choose_detail(session.shot(width, height))
         if session.screenshot is not None:
             detail = EXACT
         shot = self._shot(width, height, detail)
-        raining = session.rain.intensity_mm_h > 0
+        raining = session.rainfall.can_rain
         if session.sky_is_stale and raining and self._can_draw:
             self._look_at_sky(shot)
+        if session.sky_pick is not None and self._can_draw:
+            self._pick_sky(shot, session.sky_pick)
         # The last side, on the right, is the document itself: statistics are those of its picture.
         started, has_drawn = time.perf_counter(), False
         for side, shown in zip(sides, self._sides[-len(sides) :], strict=True):
@@ -100,6 +116,13 @@ class LiveView:
     def is_settled(self) -> bool:
         """Whether the back end that draws is the one that will go on drawing."""
         return self._cpu is None or self._cpu.is_ready
+
+    @property
+    def is_catching_up(self) -> bool:
+        """Whether the next frames go on with what this one has begun, though nothing moves."""
+        session = self.session
+        looks = session.sky_is_stale and session.rainfall.can_rain and self._can_draw and not self._sky.is_through
+        return self._is_uploading or looks
 
     @property
     def last_textures(self) -> list[moderngl.Texture]:
@@ -123,13 +146,13 @@ class LiveView:
     def _choose_detail(self, now: Shot) -> Detail:
         """Ask the budget, which wants to know whether the camera has moved."""
         session, before, at = self.session, self._moment, time.perf_counter()
-        moving = before is not None and (
+        self._is_moving = before is not None and (
             now.camera.world_to_camera.tobytes() != before.camera.world_to_camera.tobytes()
             or now.camera.fx != before.camera.fx
         )
         resized = before is not None and now.camera.height != before.camera.height
         self._moment, real_s, self._asked_at = now, at - self._asked_at, at
-        return session.budget.observe(moving=moving and not resized, real_s=real_s)
+        return session.budget.observe(moving=self._is_moving and not resized, real_s=real_s)
 
     def _shot(self, width: int, height: int, detail: Detail) -> Shot:
         scale = detail.scale / self.session.view.shrink
@@ -138,14 +161,23 @@ class LiveView:
 
     def _look_at_sky(self, shot: Shot) -> None:
         session = self.session
-        sky = sky_color(self._renderer, session.scene, shot.camera)
-        session.sky, session.sky_is_stale = sky.color, False
-        if not sky.found:
-            logger.info("The scene shows no sky: drops take the colour of an overcast one")
+        resting = not (self._is_moving or session.clock.playing)
+        at_once = session.screenshot is not None
+        sky = self._sky.look(self._renderer, session.scene, shot.camera, resting=resting, at_once=at_once)
+        if sky is not None:
+            session.sky = sky.color
+        session.sky_is_stale = not self._sky.is_exact
+
+    def _pick_sky(self, shot: Shot, pick: SkyPick) -> None:
+        session = self.session
+        session.sky_pick = None
+        color = color_there(self._renderer, session.scene, shot, pick, session.view.background)
+        session.change_rain("Pick drop colour", drop_color=color)
 
     def _show(self, side: Side, shown: "_SidePicture", shot: Shot, detail: Detail) -> bool:
         """Draw a side unless it shows just that already."""
         session = self.session
+        side = side._replace(scene=self._drawable(side.scene, shown))
         state = (_fingerprint(session, side, shot), detail.gaussians, self._on_cpu)
         if state == shown.state or not self._can_draw:
             return False
@@ -162,15 +194,27 @@ class LiveView:
         )
         picture = self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture
         shown.texture = shown.screen.show(picture, view.background, 2.0**view.gain_ev)
-        shown.state = state
+        shown.state, shown.scene = state, side.scene
         return True
+
+    def _drawable(self, scene: Scene, shown: "_SidePicture") -> Scene:
+        """The scene; or the one shown last, while much of the new one has yet to come to the GPU."""
+        if self._on_cpu or not self._can_draw or shown.scene is None or self.session.screenshot is not None:
+            return scene
+        if self._upload.missing(scene) <= _AT_ONCE or self._upload.missing(shown.scene):
+            return scene
+        if self._upload.go_on(scene, self._upload_until):
+            return scene
+        self._is_uploading = True
+        return shown.scene
 
     def _thinning(self, detail: Detail) -> Thinning | None:
         if detail.gaussians == 1:
             return None
         if self._thinned is not self.session.scene:
             self._thinned = self.session.scene
-            self._thinnings.clear()
+            for thinning in self._thinnings.values():
+                thinning.forget_all_but(member.gaussians for member in self._thinned.members)
         return self._thinnings.setdefault(detail.gaussians, Thinning(detail.gaussians))
 
     def _tell(self, milliseconds: float, detail: Detail) -> None:
@@ -180,6 +224,7 @@ class LiveView:
         session.backend = self._renderer.name
         session.statistics = {
             "frame ms": milliseconds,
+            "megapixels": self._megapixels,
             **{f"{stage} ms": value for stage, value in statistics.stages_ms.items()},
             "Gaussians": statistics.gaussians,
             "splats drawn": statistics.splats_drawn,
@@ -187,24 +232,37 @@ class LiveView:
             "haze Gaussians": statistics.haze_drawn,
         }
 
-    def _go_on_uploading(self) -> None:
-        """Bring the next slices of a staged scene to the GPU; when all is there, swap it in."""
-        if self.session.staged is not self._staged:
-            self._opengl.arrays.release_unused(awaited_too=True)
-            self._staged = self.session.staged
-            self._upload = self._slices(self._staged) if self._staged is not None else iter(())
-        until = time.perf_counter() + _UPLOAD_S
-        while self._staged is not None and time.perf_counter() < until:
-            if next(self._upload, None) is None:
-                self._staged = None
-                self.session.swap_in()
+    @property
+    def _megapixels(self) -> float:
+        """Of the whole viewport."""
+        return 0.0 if self._moment is None else 1e-6 * self._moment.camera.width * self._moment.camera.height
 
-    def _slices(self, staged: StagedScene) -> Iterator[float]:
-        too_large = self._cpu is not None and staged.scene.gaussian_count > _STAND_IN_GAUSSIANS
-        if self._on_cpu or self._waits or too_large:
-            return
-        for member in staged.scene.members:
-            yield from self._opengl.upload(member.gaussians)
+    def _prepare_staged(self) -> None:
+        """Go on with what a staged scene needs before its first frame; when all is done, swap it in."""
+        session = self.session
+        if session.staged is not self._staged:
+            self._upload.give_up()
+            self._staged = session.staged
+            self._preparing = self._preparations(self._staged.scene) if self._staged is not None else iter(())
+        while self._staged is not None:
+            if next(self._preparing, self) is self:
+                is_opened, self._staged = self._staged.is_opened, None
+                session.swap_in()
+                if is_opened:
+                    self._sky.forget()
+                    self._opengl.arrays.release_all_but(each.gaussians for each in session.scene.members)
+            elif time.perf_counter() >= self._upload_until:
+                break
+
+    def _preparations(self, scene: Scene) -> Iterator[None]:
+        for member in scene.members:
+            for thinning in self._thinnings.values():
+                thinning.growth(member.gaussians)
+                yield
+        too_large = self._cpu is not None and scene.gaussian_count > _STAND_IN_GAUSSIANS
+        if not (self._on_cpu or self._waits or too_large):
+            while not self._upload.go_on(scene, self._upload_until):
+                yield
 
     def _save_screenshot(self, textures: list[moderngl.Texture]) -> None:
         path, self.session.screenshot = self.session.screenshot, None
@@ -234,6 +292,7 @@ class _SidePicture:
         self.screen = Screen(context)
         self.texture = context.texture((1, 1), 4, np.zeros(4, np.uint8))
         self.state: Hashable = None
+        self.scene: Scene | None = None
 
 
 class _Seen(NamedTuple):
@@ -250,10 +309,10 @@ class _Seen(NamedTuple):
 
 def _fingerprint(session: Session, side: Side, shot: Shot) -> _Seen:
     camera, view = shot.camera, session.view
-    raining = side.rainfall.rain.intensity_mm_h > 0 and view.look == "splats"
+    raining = view.look == "splats" and side.rainfall.state_at(shot.time_s).intensity_mm_h > 0
     velocity = b"" if shot.velocity_m_s is None or not raining else shot.velocity_m_s.tobytes()
     return _Seen(
-        side.scene,
+        side.scene.appearance,
         side.rainfall if raining else None,
         session.sky if raining else None,
         shot.time_s if raining or side.scene.actors else 0.0,

@@ -57,6 +57,15 @@ class Navigation:
         self.pitch = float(np.clip(np.arcsin(np.clip(forward[2], -1, 1)), -_STEEPEST, _STEEPEST))
         self.vertical_fov_deg = camera.vertical_fov_deg
 
+    def carry(self, similarity: Float64[np.ndarray, "4 4"]) -> None:
+        """Go along with a world that is moved, turned and scaled; roll is lost."""
+        scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+        x, y, z = similarity[:3, :3] @ self.forward / scale
+        self.position = similarity[:3, :3] @ self.position + similarity[:3, 3]
+        self.distance_m *= scale
+        self.heading = float(np.arctan2(y, x))
+        self.pitch = float(np.clip(np.arcsin(np.clip(z, -1, 1)), -_STEEPEST, _STEEPEST))
+
     def orbit(self, right_rad: float, up_rad: float) -> None:
         """Turn around the target: the scene seems to turn with the hand."""
         target = self.target

@@ -3,15 +3,22 @@
 import hashlib
 import logging
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import platformdirs
+from jaxtyping import Int64
 
 from gsrain_engine.scene import drawing_order
 from gsrain_engine.scene.drawing_order import put_into_drawing_order
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats import read_scene, write_scene
+from gsrain_engine.scene.formats.known_files import KnownFiles
+from gsrain_engine.scene.formats.scene_folder import SCENE_FILE, is_in_drawing_order
+from gsrain_engine.scene.marks import UNMARKED, Marks
+from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.street import build
 from gsrain_engine.scene.street.parameters import StreetParameters
@@ -21,20 +28,31 @@ logger = logging.getLogger("gsrain")
 STREET = "street"
 
 
-def open_scene(name: str | None) -> Scene:
+def open_scene(name: str | None, known: KnownFiles | None = None) -> Scene:
     """Read a scene; none, or "street" where no such file stands, is the built-in street.
 
-    Raises `SceneFormatError` for what can't be read.
+    `known` learns which Gaussians the files of a scene folder hold. Raises `SceneFormatError` for what can't be read.
     """
-    return cached_street() if _is_built_in(name) else read_scene(Path(str(name)))
+    return cached_street() if is_built_in(name) else read_scene(Path(str(name)), known)
 
 
-def open_to_draw(name: str | None) -> Scene:
+def open_to_draw(name: str | None, known: KnownFiles | None = None) -> Scene:
     """Read a scene as `open_scene` does, and bring the Gaussians of each layer into their drawing order."""
-    scene = open_scene(name)
-    if not _is_built_in(name):  # the street is kept in that order
-        _put_into_order(scene)
-    return scene
+    scene = open_scene(name, known)
+    if is_built_in(name):  # the street is kept in that order
+        return scene
+    folder = scene_folder_of(Path(str(name)))
+    if folder is not None and is_in_drawing_order(folder):
+        return scene
+    if folder is not None and known is not None:
+        known.forget(folder)
+    return _put_into_order(scene)
+
+
+def scene_folder_of(path: Path) -> Path | None:
+    """The scene folder that a path names, by itself or by its `scene.json`; None for anything else."""
+    folder = path.parent if path.name == SCENE_FILE else path
+    return folder.resolve() if (folder / SCENE_FILE).is_file() else None
 
 
 def cached_street() -> Scene:
@@ -47,22 +65,39 @@ def cached_street() -> Scene:
             logger.warning("The cached street is damaged and is built again: %s", error)
             shutil.rmtree(folder, ignore_errors=True)
     scene = build.build_street()
-    _put_into_order(scene)
+    scene = _put_into_order(scene)
     try:
-        write_scene(scene, folder)
+        write_scene(scene, folder, in_drawing_order=True)
     except (SceneFormatError, OSError) as error:
         logger.warning("The street can't be kept for the next start: %s", error)
         return scene
     return read_scene(folder)  # so that the first run shows the very numbers of every later one
 
 
-def _is_built_in(name: str | None) -> bool:
+def is_built_in(name: str | None) -> bool:
+    """Whether a name means the built-in street."""
     return name is None or (name == STREET and not Path(name).exists())
 
 
-def _put_into_order(scene: Scene) -> None:
+def _put_into_order(scene: Scene) -> Scene:
+    """Bring arrays that were just made into their drawing order; what is marked stays marked."""
+    kept = {key for masks in scene.selections.values() for key in masks}
+    orders: dict[str, Int64[np.ndarray, " n"]] = {}
     for member in scene.members:
-        put_into_drawing_order(member.gaussians)
+        if member.marks is UNMARKED and member.key not in kept:
+            put_into_drawing_order(member.gaussians)
+        else:
+            order = orders[member.key] = drawing_order.drawing_order(member.gaussians).astype(np.int64)
+            marks = Marks(*(mask and mask.take(order) for mask in _masks(member.marks)))
+            scene = scene.with_member(member.key, gaussians=member.gaussians.take(order), marks=marks)
+    selections = {
+        name: {key: mask.take(orders[key]) for key, mask in masks.items()} for name, masks in scene.selections.items()
+    }
+    return replace(scene, selections=selections)
+
+
+def _masks(marks: Marks) -> tuple[Mask | None, Mask | None, Mask | None]:
+    return marks.selected, marks.hidden, marks.deleted
 
 
 def _fingerprint() -> str:

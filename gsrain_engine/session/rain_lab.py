@@ -17,6 +17,7 @@ from gsrain_engine.rain.rainfall import Rainfall
 
 if TYPE_CHECKING:
     from gsrain_engine.rain.counted_drops import CountedDrops
+    from gsrain_engine.rain.disdrometer.reading import Reading
     from gsrain_engine.rain.fitting.result import FittedCalibration
 
 logger = logging.getLogger("gsrain")
@@ -48,6 +49,8 @@ class RainLab:
         """That calibration."""
         self.files: list[str] = []
         """Calibration files that were opened or written here."""
+        self.series: tuple[str, Reading] | None = None
+        """A disdrometer file that is about to become the weather: its name and what is in it."""
         self.problem: str | None = None
         """Why the last measurement failed, in one sentence."""
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="rain lab")
@@ -88,6 +91,16 @@ class RainLab:
             return calibrate_files([open_measured(path) for path in files], name=files[0].name.partition(".")[0])
 
         self._begin(f"Fitting {files[0].name}", fitted, lambda result: setattr(self, "fitted", result))
+
+    def read_series(self, path: Path) -> None:
+        """Read a disdrometer file whose rates are to become the weather."""
+
+        def read() -> "Reading":
+            from gsrain_engine.rain.disdrometer.files import read_disdrometer
+
+            return read_disdrometer(path)
+
+        self._begin(f"Reading {path.name}", read, lambda reading: setattr(self, "series", (path.name, reading)))
 
     def keep_fitted(self) -> str:
         """Write the last fit among the person's own calibrations; returns the file's path. Raises `OSError`."""

@@ -35,9 +35,18 @@ def rainy_scene(scene: Scene) -> Iterator[tuple[Progress, Scene]]:
 
 
 def with_colors(scene: Scene, colors: Mapping[str, Float32[np.ndarray, "n k 3"]]) -> Scene:
-    """Return the scene in other colours, by `layers/NAME` and `actors/ID`; what is not named keeps its own."""
+    """Return the scene in other colours, by `layers/NAME` and `actors/ID`; what is not named keeps its own.
+
+    Colours are of all of a member's Gaussians, or of those that are not deleted: files know no others.
+    """
     for key, sh in colors.items():
-        scene = scene.with_member(key, gaussians=scene.member(key).gaussians.with_sh(sh))
+        member = scene.member(key)
+        deleted = member.marks.deleted
+        if deleted is not None and len(sh) < len(member.gaussians):
+            whole = np.zeros((len(member.gaussians), *sh.shape[1:]), np.float32)
+            whole[(~deleted).indices] = sh
+            sh = whole
+        scene = scene.with_member(key, gaussians=member.gaussians.with_sh(sh))
     return scene
 
 

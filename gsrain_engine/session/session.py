@@ -2,7 +2,7 @@
 
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -16,66 +16,47 @@ from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import OVERCAST, Rainfall
 from gsrain_engine.rain.roofs import Roofs, roofs_of
+from gsrain_engine.rain.saved_rain import rain_of, weather_of
+from gsrain_engine.rain.weather import WITHOUT_CHANGE, Weather
 from gsrain_engine.render.frame import Color
-from gsrain_engine.render.gpu_arrays import Harmonics
-from gsrain_engine.render.look import Look
 from gsrain_engine.render.scene_view import Shot
 from gsrain_engine.scene.camera_path import CameraPath
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.scene import Scene
 
-from .background_job import BackgroundJob
+from .background_job import BackgroundJob, JobPreview
 from .clock import Clock
+from .edited_document import EditedDocument
+from .following import Following
 from .history import Document, History
-from .home_camera import default_path, home_camera, scene_bounds
+from .home_camera import home_camera, scene_bounds
 from .interaction_budget import EXACT, Detail, InteractionBudget
-from .log import LogLines
+from .kept_preferences import KeptPreferences
+from .kept_view import look_again
+from .log import LogLines, told
 from .navigation import Navigation
-from .open_scene import open_to_draw
+from .opened import Opened
+from .preferences import Preferences
+from .question import Answer, Question, nothing
 from .rain_lab import RainLab
 from .rainy_look import with_gaussians_of
 from .rainy_look_job import RainyLookJob
+from .recorder import Recorder
+from .recording_job import RecordingJob
+from .ride import Ride
+from .scene_files import SceneFiles
+from .selection.options import SelectionOptions
+from .shower_view import ShowerView
+from .sky_pick import SkyPick
 from .staged_scene import StagedScene
+from .timeline import Timeline
+from .timeline_rows import content_span
+from .view_options import ViewOptions
 
 logger = logging.getLogger("gsrain")
 
 _VIEW_SIZE = (960, 640)  # shape of the picture that home cameras are chosen for
 
 WindowBackend = Literal["auto", "opengl", "cpu"]
-
-Split = Literal["off", "clear | rainy", "before | after"]
-"""before: the document before the last step of its history."""
-
-
-@dataclass(slots=True)
-class ViewOptions:
-    """How the viewport shows things; not part of the document."""
-
-    show_streak_region: bool = False
-    show_haze_region: bool = False
-    background: Color = (0.0, 0.0, 0.0)
-    gain_ev: float = 0.0
-    """Brightens or darkens the display only."""
-    shrink: int = 1
-    """Draw every so many-th pixel in each direction; the rain keeps the drops of the full picture."""
-    beyond_calibration: bool = False
-    """Let the intensity slider go on to 100 mm/h."""
-    follow_path: bool = False
-    """Ride along the camera path instead of flying by hand."""
-    look: Look = "splats"
-    split: Split = "off"
-    """Which two pictures stand side by side."""
-    divider: float = 0.5
-    """Where the left one ends, as a share of the width."""
-    harmonics: Harmonics = "half"
-    """How colours lie on the GPU."""
-    show_selection: bool = True
-    """Tint what is selected."""
-    dialog: str = ""
-    """Which of the window's own pages is open: commands, keys or about."""
-    tool: str = ""
-    """Name of the viewport's tool; none is plain navigation."""
 
 
 class Side(NamedTuple):
@@ -86,13 +67,13 @@ class Side(NamedTuple):
     rainfall: Rainfall
 
 
-class Session:
+class Session(EditedDocument):
     """One open scene and everything around it. Only the main thread touches it."""
 
     def __init__(self, scene: Scene | None = None, rain: Rain | None = None) -> None:
         """Begin with a scene, or with an empty one."""
         scene = scene or Scene("no scene")
-        self.clock = Clock()
+        super().__init__(Document(scene, rain or load_preset("clear")), Clock())
         self.navigation = Navigation()
         self.view = ViewOptions()
         self.budget = InteractionBudget()
@@ -101,6 +82,8 @@ class Session:
         logger.addHandler(self.log)
         self.jobs: list[BackgroundJob] = []
         """Those that run and those that have ended, in the order of their start, until a person clears them."""
+        self.previews: dict[BackgroundJob, JobPreview] = {}
+        """What running jobs show of their work."""
         self.staged: StagedScene | None = None
         self.sky: Color = OVERCAST
         self.sky_is_stale = True
@@ -113,43 +96,37 @@ class Session:
         """Figures of the last frame, by name: the Statistics panel shows them in this order."""
         self.detail: Detail = EXACT
         """How much of the exact picture the viewport shows now."""
-        self.problem: str | None = None
-        """What went wrong last, in one sentence: the viewport shows it until it is closed or a scene is opened."""
-        self.path: CameraPath | None = None
+        self.timeline = Timeline()
+        self._ride = Ride()
+        self.preview: Scene | None = None
+        """What a tool wants drawn in place of the scene while something is dragged; to be said again each frame."""
+        self._shown_preview: Scene | None = None
+        self.following = Following()
         self.screenshot: Path | None = None
         """Where the live view saves its next picture."""
+        self.sky_pick: SkyPick | None = None
+        """The part of the next picture whose colour drops are to take."""
+        self.shower = ShowerView()
         self.lab = RainLab()
+        self.selecting = SelectionOptions()
         self._files = ThreadPoolExecutor(max_workers=1, thread_name_prefix="files")
-        self._opening: tuple[str, Future[Scene]] | None = None
-        self._saving: tuple[Path, Future[None]] | None = None
+        self.questions: list[Question] = []
+        """What a person is asked, one after the other."""
+        self._is_closed = False
+        self.is_leaving = False
+        """Whether the program shall end now: a person wants it, and has said what becomes of unsaved changes."""
         self._roofs: tuple[Scene, Future[Roofs | None]] | None = None
-        self.history = History.beginning_with(Document(scene, rain or load_preset("clear")))
         self.rainfall = Rainfall.start(self.rain)
-        self._other_rainfalls: dict[Rain, Rainfall] = {}
+        self._other_rainfall = self.rainfall
         self._scene_of_sky = scene
+        self.files = SceneFiles(self, self._files)
+        self.recorder = Recorder(self, self._files)
+        self._preferences = KeptPreferences(self._files)
+        if self._preferences.trouble is not None:
+            self.ask(Question("Preferences", self._preferences.trouble, (Answer("OK", nothing),)))
         self._enter_scene()
 
-    # The document
-
-    @property
-    def scene(self) -> Scene:
-        """The scene as it is now."""
-        return self.history.present.scene
-
-    @property
-    def rain(self) -> Rain:
-        """The rain as it is now."""
-        return self.history.present.rain
-
-    def change_rain(self, label: str, gesture: str | None = None, **fields: object) -> None:
-        """Change fields of the rain. Changes of one gesture (a drag) make one step; call `end_gesture` when it ends."""
-        self.set_rain(label, msgspec.structs.replace(self.rain, **fields), gesture)
-
-    def set_rain(self, label: str, rain: Rain, gesture: str | None = None) -> None:
-        """Go to another rain; drops in the air go on from where they are."""
-        if rain != self.rain:
-            self.history.record(label, self.history.present.with_rain(rain), gesture)
-            self._follow_document()
+    # Calibrations
 
     def use_calibration(self, name: str) -> None:
         """Let the rain follow another calibration, by name or file; what is wrong with it is kept in `problem`."""
@@ -175,67 +152,56 @@ class Session:
         try:
             path = self.lab.keep_fitted()
         except OSError as error:
-            self.problem = _told("The calibration can't be saved", error)
+            self.problem = told("The calibration can't be saved", error)
         else:
             self.use_calibration(path)
-
-    def set_scene(self, label: str, scene: Scene, gesture: str | None = None) -> None:
-        """Go to a changed version of the scene."""
-        self.history.record(label, self.history.present.with_scene(scene), gesture)
-        self._follow_document()
-
-    def show_member(self, key: str, visible: bool) -> None:
-        """Show or hide a layer or an actor."""
-        verb = "Show" if visible else "Hide"
-        self.set_scene(f"{verb} {self.scene.member(key).name}", self.scene.with_member(key, visible=visible))
-
-    def end_gesture(self) -> None:
-        """Say that a drag is over."""
-        self.history.end_gesture()
-
-    def undo(self) -> None:
-        """Step back."""
-        self.history.undo()
-        self._follow_document()
-
-    def redo(self) -> None:
-        """Step forward."""
-        self.history.redo()
-        self._follow_document()
-
-    def go_to_step(self, step: int) -> None:
-        """Go to a step of the history, backward or forward."""
-        self.history.go_to(step)
-        self._follow_document()
 
     # Files
 
     def open(self, path: str) -> None:
         """Read a scene in the background and go to it; of several, the one that was asked for last.
 
-        What goes wrong is logged and kept in `problem`, and the present scene stays.
+        With unsaved changes, a person is asked first. What goes wrong is logged and kept in `problem`, and the present
+        scene stays.
         """
-        if self._opening is not None:
-            self._opening[1].cancel()
-        logger.info("Opening %s", path)
-        self.problem = None
-        self._opening = path, self._files.submit(open_to_draw, path)
+        self.files.open(path)
 
     def save(self, path: Path) -> None:
-        """Write the scene, with its rain, in the background."""
-        if self._saving is None:
-            rain = msgspec.to_builtins(self.rain)
-            self._saving = path, self._files.submit(write_scene, replace(self.scene, rain=rain), path)
+        """Write the document to a scene folder or a file, in the background."""
+        self.files.save_to(path)
+
+    @property
+    def has_changes(self) -> bool:
+        """Whether there is anything that was not saved."""
+        return self.files.has_changes
+
+    def enter(self, opened: Opened) -> None:
+        """Go to another document."""
+        self._cancel_jobs(but_recordings=True)
+        scene = opened.scene
+        rain, weather = rain_of(scene) or self.rain, weather_of(scene) or WITHOUT_CHANGE
+        self.history = History.beginning_with(Document(scene, rain, weather))
+        self.files.enter(opened, self.history.present)
+        self._follow_document()
+        self._enter_scene()
+        if scene.view is not None:
+            look_again(self, scene.view)
+
+    def leave(self) -> None:
+        """End the program; with unsaved changes, a person is asked first."""
+        self.files.when_safe("quit", self._leave)
+
+    def _leave(self) -> None:
+        self.files.give_up()
+        self.is_leaving = True
 
     @property
     def busy(self) -> str | None:
         """What is being read or written, None when nothing is."""
-        if self._opening is not None:
-            return f"Opening {self._opening[0]}"
+        if self.files.busy is not None:
+            return self.files.busy
         if self.staged is not None and self.staged.is_opened:
             return f"Uploading {self.staged.label}"
-        if self._saving is not None:
-            return f"Saving {self._saving[0]}"
         if self.rain.roofs and not self._roofs_are_found:
             return "Finding roofs"
         return "Preparing the picture; once after an update this takes up to a minute" if self.is_compiling else None
@@ -243,12 +209,41 @@ class Session:
     @property
     def pending_files(self) -> list[Future[Any]]:
         """Reading, writing and finding roofs, to wait for where there are no frames to wait with."""
-        return [each[1] for each in (self._opening, self._saving, self._roofs) if each is not None]
+        return [*self.files.pending, *([self._roofs[1]] if self._roofs is not None else [])]
 
     @property
     def is_working(self) -> bool:
         """Whether anything goes on in the background that a frame should look after."""
         return bool(self.running_jobs) or self.busy is not None or self.staged is not None or self.lab.busy is not None
+
+    # Questions and preferences
+
+    @property
+    def question(self) -> Question | None:
+        """What a person is asked now."""
+        return self.questions[0] if self.questions else None
+
+    def ask(self, question: Question) -> None:
+        """Ask a person, after what was asked before; the same is not asked twice at once."""
+        if all((each.title, each.text) != (question.title, question.text) for each in self.questions):
+            self.questions.append(question)
+
+    def answer(self, answer: Answer) -> None:
+        """Act on the answer to the present question."""
+        self.questions = self.questions[1:]
+        answer.run()
+
+    @property
+    def preferences(self) -> Preferences:
+        """Settings of the program, whatever the scene."""
+        return self._preferences.value
+
+    def prefer(self, **fields: object) -> None:
+        """Change preferences and keep them; what is out of bounds is told in `problem`."""
+        try:
+            self._preferences.change(**fields)
+        except msgspec.ValidationError as error:
+            self.problem = told("That can't be preferred", error)
 
     # Jobs
 
@@ -277,7 +272,7 @@ class Session:
     @property
     def is_opening(self) -> bool:
         """Whether another scene is about to take the place of this one."""
-        return self._opening is not None or (self.staged is not None and self.staged.is_opened)
+        return self.files.is_opening or (self.staged is not None and self.staged.is_opened)
 
     def swap_in(self) -> None:
         """Show the staged scene: its Gaussians are where the next frame needs them."""
@@ -285,7 +280,7 @@ class Session:
             return
         staged, self.staged = self.staged, None
         if staged.is_opened:
-            self._go_to(staged.scene)
+            self.enter(self.files.arrive(staged.scene))
             logger.info("Opened %s: %s Gaussians", staged.label, f"{staged.scene.gaussian_count:,}")
         else:
             self.set_scene(staged.label, with_gaussians_of(self.scene, staged.scene))
@@ -295,9 +290,12 @@ class Session:
 
     def update(self, real_s: float) -> None:
         """Let time go by and take in what background work has finished. Once a frame."""
-        self.clock.advance(real_s)
-        self._poll_files()
-        if self.rain.roofs and (self._roofs is None or self._roofs[0] is not self.scene):
+        self.clock.advance(real_s, self.span_s)
+        self._shown_preview, self.preview = self.preview, None
+        self.following.ride(self.scene, self.clock.time_s, self.navigation)
+        self.files.poll()
+        self._preferences.poll()
+        if self.rain.roofs and (self._roofs is None or self._roofs[0].appearance != self.scene.appearance):
             self._roofs = self.scene, self._files.submit(roofs_of, self.scene)
         self.lab.poll()
         for job in self.running_jobs:
@@ -308,25 +306,51 @@ class Session:
     @property
     def sides(self) -> list[Side]:
         """What the viewport shows: one side, or two from left to right."""
-        here = Side("", self.scene, self._drawn_rainfall)
+        shown = self.scene if self._shown_preview is None else self._shown_preview
+        here = Side("", shown, self._drawn_rainfall)
         if self.view.split == "clear | rainy":
             clear = msgspec.structs.replace(self.rain, intensity_mm_h=0.0)
-            return [Side("clear", self.scene, self._rainfall_of(clear)), here._replace(label="rainy")]
+            return [Side("clear", self.scene, self._rainfall_of(clear, WITHOUT_CHANGE)), here._replace(label="rainy")]
         if self.view.split == "before | after":
             before = self.history.previous
-            left = Side(f"before: {self.history.undo_label or 'nothing'}", before.scene, self._rainfall_of(before.rain))
+            rainfall = self._rainfall_of(before.rain, before.weather)
+            left = Side(f"before: {self.history.undo_label or 'nothing'}", before.scene, rainfall)
             return [left, here._replace(label="after")]
         return [here]
+
+    @property
+    def path(self) -> CameraPath:
+        """The way that riding along and recording take, in the world: the person's own, else a default one."""
+        return self._ride.path(self.scene)
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last moment that play: as a person has set them, else those of the flight or the traffic."""
+        return self.clock.span_s or content_span(self.scene, self.weather)
+
+    def ride(self, on: bool) -> None:
+        """Ride along the camera path, or leave it at the place where the camera is now."""
+        if on:
+            self.view.follow_path = True
+        else:
+            self.stop_riding()
+
+    def stop_riding(self) -> None:
+        """Leave the camera path, at the place where the camera is now."""
+        if self.view.follow_path:
+            self.navigation.look_like(self.shot(*_VIEW_SIZE).camera)
+            self.view.follow_path = False
 
     def shot(self, width: int, height: int, focal_scale: float = 1.0) -> Shot:
         """What the viewport shows now; `focal_scale` is output size over drawn size."""
         t = self.clock.time_s
-        if self.view.follow_path and self.path is not None:
-            along = t % self.path.duration_s if self.path.duration_s > 0 else 0.0
-            camera = self.path.camera(along, width, height)
-            return Shot(camera, along, self.path.velocity(along), camera.fx * focal_scale)
+        if self.view.follow_path:
+            camera = self.path.camera(t, width, height)
+            return Shot(camera, t, self.path.velocity(t), camera.fx * focal_scale)
         camera = self.navigation.camera(width, height)
-        return Shot(camera, t, self.navigation.velocity_m_s, camera.fx * focal_scale)
+        ride = self.following.velocity_m_s
+        velocity = self.navigation.velocity_m_s if ride is None else self.navigation.velocity_m_s + ride
+        return Shot(camera, t, velocity, camera.fx * focal_scale)
 
     def take_screenshot(self, folder: Path | None = None) -> None:
         """Save the next picture under the present date and time, by default in the person's pictures folder."""
@@ -353,79 +377,60 @@ class Session:
         self.navigation.distance_m = float(np.clip(in_front, 1.0, 20.0))
 
     def close(self) -> None:
-        """Stop everything that runs."""
+        """Stop everything that runs. To be called once more does nothing."""
+        if self._is_closed:
+            return
+        self._is_closed = True
         self._cancel_jobs()
-        if self._opening is not None:
-            self._opening[1].cancel()
+        self.files.close()
+        self._preferences.close()
         self._files.shutdown()
         self.lab.close()
         logger.removeHandler(self.log)
 
     @property
     def _roofs_are_found(self) -> bool:
-        return self._roofs is not None and self._roofs[0] is self.scene and self._roofs[1].done()
+        if self._roofs is None or not self._roofs[1].done():
+            return False
+        return self._roofs[0].appearance == self.scene.appearance
 
     @property
     def _drawn_rainfall(self) -> Rainfall:
         """The rain without roofs until they are found: a frame that looked for them would take seconds."""
-        if not self.rain.roofs or self._roofs_are_found:
+        if not self.rain.roofs or (self._roofs_are_found and self._shown_preview is None):
             return self.rainfall
         return replace(self.rainfall, rain=msgspec.structs.replace(self.rain, roofs=False))
 
-    def _rainfall_of(self, rain: Rain) -> Rainfall:
-        if rain == self.rain:
+    def _rainfall_of(self, rain: Rain, weather: Weather) -> Rainfall:
+        if rain == self.rain and weather is self.weather:
             return self.rainfall
-        if rain not in self._other_rainfalls:
-            self._other_rainfalls = {rain: Rainfall.start(rain)}
-        return self._other_rainfalls[rain]
+        if rain != self._other_rainfall.rain or weather is not self._other_rainfall.weather:
+            self._other_rainfall = Rainfall.start(rain, weather=weather)
+        return self._other_rainfall
 
     def _follow_document(self) -> None:
+        self.preview = self._shown_preview = None
         if self.scene is not self._scene_of_sky:
-            self._scene_of_sky, self.sky_is_stale = self.scene, True
-        if self.rainfall.rain != self.rain:
-            self.rainfall = self.rainfall.changed(self.rain, self.clock.time_s)
+            before, self._scene_of_sky = self._scene_of_sky, self.scene
+            self._stay_in_place(before)
+            self.sky_is_stale = self.sky_is_stale or before.appearance != self.scene.appearance
+        if self.rainfall.rain != self.rain or self.rainfall.weather is not self.weather:
+            self.rainfall = self.rainfall.changed(self.rain, self.clock.time_s, self.weather)
+
+    def _stay_in_place(self, before: Scene) -> None:
+        """Let the camera see the same where the scene has got other metres or another up."""
+        old, new = before.scene_to_world, self.scene.scene_to_world
+        if not np.array_equal(old, new):
+            step = new @ np.linalg.inv(old)
+            self.navigation.carry(step)
 
     def _enter_scene(self) -> None:
-        self.path = default_path(self.scene, *_VIEW_SIZE)
+        self._ride, self.timeline, self.clock.span_s = Ride(), Timeline(), None
         self.go_home()
         self.sky_is_stale = True
 
-    def _poll_files(self) -> None:
-        if self._opening is not None and self._opening[1].done():
-            (path, opening), self._opening = self._opening, None
-            try:
-                self.staged = StagedScene(path, opening.result(), is_opened=True)
-            except Exception as error:  # whatever a file can do to its reader: the window lives on
-                self.problem = _told(f"{path} can't be opened", error)
-        if self._saving is not None and self._saving[1].done():
-            (target, saving), self._saving = self._saving, None
-            try:
-                saving.result()
-            except Exception as error:
-                self.problem = _told(f"{target} can't be saved", error)
-            else:
-                logger.info("Saved %s", target)
-
-    def _cancel_jobs(self) -> None:
+    def _cancel_jobs(self, *, but_recordings: bool = False) -> None:
+        """Stop what runs; a recording has a copy of the document that it began with."""
         for job in self.running_jobs:
-            job.cancel()
-
-    def _go_to(self, scene: Scene) -> None:
-        self._cancel_jobs()
-        rain = self.rain
-        try:
-            rain = msgspec.convert(scene.rain, Rain) if scene.rain is not None else rain
-        except msgspec.ValidationError as error:
-            logger.error("%s: the scene's rain can't be used: %s", scene.name, error)
-        self.history = History.beginning_with(Document(scene, rain))
-        self._follow_document()
-        self._enter_scene()
-
-
-def _told(what: str, error: Exception) -> str:
-    """Log what went wrong, with a traceback where it is our own fault; returns it in one sentence."""
-    foreseen = isinstance(error, SceneFormatError | OSError | MemoryError)
-    reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    sentence = reason if isinstance(error, SceneFormatError) else f"{what}: {reason}"
-    logger.error("%s", sentence, exc_info=not foreseen)
-    return sentence
+            if not (but_recordings and isinstance(job, RecordingJob)):
+                job.cancel()

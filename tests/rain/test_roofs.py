@@ -13,6 +13,8 @@ from gsrain_engine.raster.cpu_renderer import CpuRenderer
 from gsrain_engine.render.scene_view import Shot, rain_in
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
+from gsrain_engine.scene.marks import Marks
+from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Layer, Part
 from gsrain_engine.scene.scene import Scene
 
@@ -185,3 +187,12 @@ def _anchor(position):
     anchor = np.eye(4)
     anchor[:3, 3] = position
     return anchor
+
+
+def test_a_selection_is_no_reason_to_find_roofs_again():
+    before = scene(ROAD, BRIDGE)
+    key = before.layers[0].key
+    chosen = before.with_member(key, marks=Marks(selected=Mask.all(len(before.layers[0].gaussians))))
+    assert roofs_of(chosen) is roofs_of(before) is not None
+    gone = before.with_member(before.layers[1].key, marks=Marks(deleted=Mask.all(len(before.layers[1].gaussians))))
+    assert roofs_of(gone) is None

@@ -23,6 +23,7 @@ from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.members import Layer, Part
 from gsrain_engine.scene.scene import Scene
 from raster.raster_scenes import random_gaussians, small_camera
+from raster.test_marked_parts import COLORS, some_of
 
 LEAST_PSNR_DB = 50.0
 LARGEST_RAIN_DIFFERENCE = 0.05
@@ -222,3 +223,18 @@ def test_gsplat_draws_the_same():
     with open_renderer("cuda") as renderer:
         found = drawn(renderer, parts, small_camera())
     assert psnr_db(found, drawn(CpuRenderer(), parts, small_camera())) >= LEAST_PSNR_DB
+
+
+def test_marks_opacity_and_colours_are_obeyed(cuda):
+    parts = [
+        Part(
+            random_gaussians(400, 1, 2), np.eye(4), limit=300, growth=1.2, opacity=0.6, colors=COLORS,
+            left_out=some_of(400), selected=some_of(400, 0.5, 1),
+        ),
+        Part(random_gaussians(200, 2), similarity(1.7, 0.4, (0.3, -0.2, 0.5)), selected=some_of(200)),
+        Part(random_gaussians(100, 3), np.eye(4), opacity=0.0),
+    ]  # fmt: skip
+    expected = drawn(CpuRenderer(), parts, small_camera())
+    assert psnr_db(drawn(cuda, parts, small_camera()), expected) > 80
+    unmarked = [Part(part.gaussians, part.to_world) for part in parts]
+    assert psnr_db(drawn(cuda, unmarked, small_camera()), expected) < 30

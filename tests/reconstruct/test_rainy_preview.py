@@ -13,8 +13,12 @@ from gsrain_engine.reconstruct.recolored_file import read_recolored, write_recol
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.gaussians import SH_C0
+from gsrain_engine.scene.grading import Grading
+from gsrain_engine.scene.marks import Marks
+from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.session.rainy_look import with_colors
 
 from .small_street import small_street
 
@@ -169,3 +173,21 @@ def test_wrong_arrays_are_refused(tmp_path):
     np.savez(tmp_path / "b.npz", version=np.array(9), names=np.array(["layers/x"]))
     with pytest.raises(SceneFormatError, match="version 9 is newer"):
         read_recolored(tmp_path / "b.npz")
+
+
+def test_deleted_gaussians_and_grading_stay_what_they_are(tmp_path):
+    scene = small_street()
+    road = scene.layers[0]
+    deleted = Mask.of(np.arange(len(road.gaussians)) % 3 == 0)
+    scene = scene.with_member(road.key, marks=Marks(deleted=deleted))
+    graded = scene.with_member(road.key, grading=Grading(exposure_ev=-2.0))
+    for each, name in ((scene, "plain"), (graded, "graded")):
+        for _ in rainy_preview(each, small_views(scene, 1), tmp_path / name):
+            pass
+    plain, same = (read_recolored(tmp_path / name) for name in ("plain", "graded"))
+    assert plain[road.key].shape == road.gaussians.sh.shape
+    assert all(np.array_equal(plain[key], same[key]) for key in plain)
+    kept = plain[road.key][(~deleted).indices]
+    np.testing.assert_array_equal(with_colors(scene, {road.key: kept}).layers[0].gaussians.sh[(~deleted).indices], kept)
+    whole = with_colors(scene, plain).layers[0].gaussians
+    np.testing.assert_array_equal(whole.sh, plain[road.key])

@@ -13,6 +13,7 @@ from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.rain.rainfall import Rainfall, View
 from gsrain_engine.rain.roofs import Roofs
+from gsrain_engine.rain.weather import Weather, WeatherKey
 from gsrain_engine.render.drop_pass import DropPass, class_rows
 from gsrain_engine.render.splat_renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera, look_at
@@ -23,11 +24,21 @@ ANCHOR = np.eye(4)
 ANCHOR[:3, 3] = EYE
 
 
-def falling(time_s=12.3, velocity=(9.0, 1.0, 0.0), travelled=(0.0, 0.0, 0.0), **changes):
+SHOWER = Weather(
+    keys=(
+        WeatherKey(time_s=-3.0, intensity_mm_h=0.5, wind_m_s=(8.0, -3.0)),
+        WeatherKey(time_s=20.0, intensity_mm_h=12.0),
+        WeatherKey(time_s=12_000.0, intensity_mm_h=2.0, wind_m_s=(-5.0, 1.0)),
+    ),
+    between="smooth",
+)
+
+
+def falling(time_s=12.3, velocity=(9.0, 1.0, 0.0), travelled=(0.0, 0.0, 0.0), weather=None, **changes):
     rain = msgspec.structs.replace(load_preset("8.5"), wind_m_s=(2.0, -1.0), seed=3, **changes)
     anchor = ANCHOR.copy()
     anchor[:3, 3] += travelled
-    return Rainfall.start(rain).at(time_s, View(CAMERA, anchor, np.array(velocity)))
+    return Rainfall.start(rain, weather=weather).at(time_s, View(CAMERA, anchor, np.array(velocity)))
 
 
 @pytest.mark.parametrize(
@@ -37,6 +48,8 @@ def falling(time_s=12.3, velocity=(9.0, 1.0, 0.0), travelled=(0.0, 0.0, 0.0), **
         (10_000.0, (8_000.0, -6_000.0, 120.0), {"gust_m_s": 5.0}),
         (9_876.543, (-10_000.0, 0.3, -80.0), {"intensity_mm_h": 50.0}),
         (10_000.0, (6_000.0, 8_000.0, 0.0), {"streak_reset": "paper"}),
+        (12.3, (0.0, 0.0, 0.0), {"weather": SHOWER}),
+        (9_876.543, (-6_000.0, 8_000.0, 0.0), {"weather": SHOWER, "gust_m_s": 5.0}),
     ],
 )
 def test_every_drop_is_at_the_same_place_to_the_bit(context, time_s, travelled, changes):
@@ -63,7 +76,8 @@ def test_every_drop_is_at_the_same_place_to_the_bit(context, time_s, travelled, 
 
 
 @pytest.mark.parametrize(
-    "changes", [{}, {"intensity_mm_h": 0.05}, {"streak_reset": "paper"}, {"far_drops": "published"}]
+    "changes",
+    [{}, {"intensity_mm_h": 0.05}, {"streak_reset": "paper"}, {"far_drops": "published"}, {"weather": SHOWER}],
 )
 def test_finds_the_drops_that_the_compiled_search_finds(context, changes):
     field = falling(**changes).streak_field
@@ -79,7 +93,7 @@ def test_finds_the_drops_that_the_compiled_search_finds(context, changes):
     "changes",
     [
         {}, {"exposure_s": 0.05}, {"rain_light": "display"}, {"streak_frame": "world"}, {"far_drops": "published"},
-        {"streak_reset": "paper"}, {"max_copies": 1}, {"streak_gain": 20.0}, {"aperture_mm": 8.0},
+        {"streak_reset": "paper"}, {"max_copies": 1}, {"streak_gain": 20.0}, {"aperture_mm": 8.0}, {"weather": SHOWER},
     ],
 )  # fmt: skip
 def test_draws_what_the_compiled_kernels_make(context, changes):

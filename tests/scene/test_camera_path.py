@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.camera_path import CameraPath, orbit_path
+from gsrain_engine.scene.camera_path import CameraPath, circle_path, orbit_path
 from gsrain_engine.scene.camera_path_files import read_camera_path, write_camera_path
 from gsrain_engine.scene.drive_path import drive_path
 from gsrain_engine.scene.errors import SceneFormatError
@@ -91,7 +91,7 @@ def test_nerfstudio_and_3dgs_files_show_the_same_flight(tmp_path):
         ("[]", "expected keyframes"),
         ("{}", "expected keyframes"),
         ("nothing", "not a JSON file"),
-        ('{"version": 2, "keyframes": []}', "newer than 1"),
+        ('{"version": 3, "keyframes": []}', "newer than 2"),
         ('{"keyframes": []}', "at least one keyframe"),
         ('{"keyframes": [{"time_s": 0}]}', "no field 'position'"),
         ('{"keyframes": [{"time_s": 0, "position": [0, 0, 0], "quaternion_wxyz": [1, 0, 0, 0], '
@@ -144,3 +144,17 @@ def test_orbit_keeps_its_distance_and_its_sight():
         camera = path.camera(t, 96, 64)
         assert np.linalg.norm(camera.position) == pytest.approx(np.hypot(10, 2), rel=1e-3)
         assert camera.world_to_camera[:3, 3][:2] == pytest.approx([0, 0], abs=0.02)
+
+
+def test_a_circle_closes_and_keeps_its_distance():
+    start = Camera.from_fov(96, 64, 50.0, look_at(np.array([10.0, 0, 2]), np.zeros(3), np.array([0.0, 0, 1])))
+    path = circle_path(np.zeros(3), start, 8.0)
+    assert path.duration_s == 8
+    assert np.allclose(path.camera(0.0, 96, 64).world_to_camera, start.world_to_camera, atol=1e-9)
+    opposite = path.camera(4.0, 96, 64)
+    assert opposite.position == pytest.approx([-10, 0, 2], abs=1e-9)
+    for t in np.linspace(0, 16, 33).tolist():
+        camera = path.camera(t, 96, 64)
+        assert np.linalg.norm(camera.position[:2]) == pytest.approx(10, rel=1e-3)
+        assert camera.world_to_camera[:2, 3] == pytest.approx([0, 0], abs=0.02)
+        assert np.linalg.norm(path.velocity(t)) == pytest.approx(2 * np.pi * 10 / 8, rel=0.01)

@@ -42,7 +42,7 @@ def test_presets_and_switches(driver):
         assert driver.session.rain.intensity_mm_h == 8.5
         driver.click("//Rain/Haze")
         assert not driver.session.rain.haze
-        driver.click("//Rain/camera's")
+        driver.click("//Rain/###camera's")
         assert driver.session.rain.exposure_s == 0.004
         driver.click("//Rain/up to 100 mm\\/h")
         driver.ctx.item_input_value("//Rain/##intensity_mm_h", 50.0)
@@ -110,9 +110,9 @@ def test_time_plays_pauses_and_rain_falls_in_real_seconds(driver):
         driver.click("//Rain/8.5")
         still = driver.picture()
         assert np.array_equal(driver.picture(), still)
-        driver.click("//View/Play")
+        driver.click("//View/###Play")
         driver.until(lambda: driver.session.clock.time_s > 0.05)
-        driver.click("//View/Pause")
+        driver.click("//View/###Play")
         assert not driver.session.clock.playing
         assert not np.array_equal(driver.picture(), still)
 
@@ -125,7 +125,7 @@ def test_navigation_by_mouse_and_keys(driver):
         start = session.navigation.position.copy()
         driver.drag("//View/view", (80, 0))
         assert np.linalg.norm(session.navigation.position - start) > 0.5
-        driver.click("//View/Home")
+        driver.click("//View/###Home")
         assert session.navigation.position == pytest.approx(start)
         driver.ctx.mouse_move("//View/view")
         driver.ctx.key_down(imgui.Key.w)
@@ -150,7 +150,7 @@ def test_navigation_by_mouse_and_keys(driver):
 def test_scene_panel_hides_and_undo_shows_again(driver):
     def script():
         before = driver.picture()
-        driver.click("//Scene/members/wall##background")
+        driver.click("//Layers/members/###show layers wall")
         assert not driver.session.scene.layers[1].visible
         assert np.abs(driver.picture() - before).max() > 20
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
@@ -294,7 +294,7 @@ def test_while_the_camera_moves_less_is_drawn_and_all_of_it_at_rest(driver):
     def script():
         session = driver.session
         session.budget.target_ms = 0.01  # no machine holds it
-        driver.click("//View/Home")
+        driver.click("//View/###Home")
         driver.until(lambda: session.detail.is_exact)
         exact = driver.picture()
         driver.ctx.mouse_move("//View/view")
@@ -302,7 +302,7 @@ def test_while_the_camera_moves_less_is_drawn_and_all_of_it_at_rest(driver):
         driver.until(lambda: str(session.detail) == "1/8 of the Gaussians, 33% resolution")
         driver.ctx.key_up(imgui.Key.w)
         driver.until(lambda: session.detail.is_exact)
-        driver.click("//View/Home")
+        driver.click("//View/###Home")
         driver.until(lambda: session.detail.is_exact)
         assert np.array_equal(driver.picture(), exact)
 
@@ -318,8 +318,8 @@ def test_colors_take_fewer_bits_on_the_gpu(tmp_path):
 
     def script():
         fine = driver.picture()
-        driver.ctx.window_focus("//Scene")
-        driver.ctx.set_ref("//Scene")
+        driver.ctx.window_focus("//Display")
+        driver.ctx.set_ref("//Display")
         driver.ctx.combo_click("##harmonics/8 bits")
         driver.frames()
         assert driver.view.session.view.harmonics == "byte"

@@ -40,7 +40,7 @@ class Action:
     @property
     def key_names(self) -> str:
         """Its keys in words."""
-        return ", ".join(map(chord_name, self.chords))
+        return " or ".join(map(chord_name, self.chords))
 
     def title(self, session: Session) -> str:
         """Name with what follows it now."""

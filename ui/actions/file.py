@@ -1,4 +1,4 @@
-"""Opening and saving."""
+"""Opening and saving, and leaving."""
 
 from pathlib import Path
 
@@ -7,24 +7,50 @@ from imgui_bundle import imgui
 from gsrain_engine.session.session import Session
 
 from ..file_dialogs import ask_what_to_open, ask_where_to_save
+from ..questions import SAVED_KINDS
 from ..shortcuts import chord
 from .action import Action
 
+_KEY = imgui.Key
 _SCENES = "Scenes{.ply,.splat,.spz,.ksplat,.sog,.json},All files{.*}"
-_SAVED = "Scene files{.ply,.splat,.spz},Scene folders{.*}"
 
 
-def _open(session: Session, chosen: Path) -> None:
-    session.open(str(chosen.parent if chosen.name == "scene.json" else chosen))
+def recent_files(session: Session) -> list[Path]:
+    """Scenes that were used last, the latest first."""
+    return session.files.recent
+
+
+def _chosen(path: Path) -> str:
+    return str(path.parent if path.name == "scene.json" else path)
+
+
+def _ask_what_to_open(session: Session) -> None:
+    ask_what_to_open("Open a scene", _SCENES, lambda chosen: session.open(_chosen(chosen[0])))
+
+
+def _ask_what_to_import(session: Session) -> None:
+    def take(chosen: list[Path]) -> None:
+        for path in chosen:
+            session.files.import_from(_chosen(path))
+
+    ask_what_to_open("Import into this scene", _SCENES, take, several=True)
+
+
+def _ask_where_to_save(session: Session) -> None:
+    ask_where_to_save("Save the scene", SAVED_KINDS, lambda chosen: session.files.save_as(chosen[0]))
+
+
+def _has_scene(session: Session) -> bool:
+    return bool(session.scene.members)
 
 
 FILE_ACTIONS = (
     Action(
         "Open...",
-        lambda session: ask_what_to_open("Open a scene", _SCENES, lambda chosen: _open(session, chosen[0])),
+        _ask_what_to_open,
         "File",
-        chord(imgui.Key.mod_ctrl, imgui.Key.o),
-        "Open a scene file or folder.",
+        chord(_KEY.mod_ctrl, _KEY.o),
+        "Open a scene file, or a scene folder by its scene.json.",
     ),
     Action(
         "Open the built-in street",
@@ -33,10 +59,50 @@ FILE_ACTIONS = (
         help="A street with cars and trees that needs no download.",
     ),
     Action(
-        "Save as...",
-        lambda session: ask_where_to_save("Save the scene", _SAVED, lambda chosen: session.save(chosen[0])),
+        "Import into this scene...",
+        _ask_what_to_import,
         "File",
-        chord(imgui.Key.mod_ctrl, imgui.Key.s),
-        "Save as a scene folder, which keeps everything, or as one file.",
+        chord(_KEY.mod_ctrl, _KEY.mod_shift, _KEY.o),
+        "Add the layers and actors of other scenes, where they lie in the world (metres).",
+    ),
+    Action(
+        "Save",
+        lambda session: session.files.save(),
+        "File",
+        chord(_KEY.mod_ctrl, _KEY.s),
+        "Save to the scene folder that this was opened from or saved to; where there is none, ask for a place.",
+        _has_scene,
+    ),
+    Action(
+        "Save as...",
+        _ask_where_to_save,
+        "File",
+        chord(_KEY.mod_ctrl, _KEY.mod_shift, _KEY.s),
+        "Save as a scene folder, which keeps everything, or as one file (.ply, .splat, .spz) of what can be seen.",
+        _has_scene,
+    ),
+    Action(
+        "Revert",
+        lambda session: session.files.revert(),
+        "File",
+        help="Read the scene from the disk again; all changes since it was saved are lost.",
+        is_possible=lambda session: session.files.source is not None,
+    ),
+    Action(
+        "Close the scene",
+        lambda session: session.files.close_scene(),
+        "File",
+        chord(_KEY.mod_ctrl, _KEY.w),
+        "Go to an empty window.",
+        _has_scene,
+    ),
+)
+LEAVING_ACTIONS = (
+    Action(
+        "Quit",
+        lambda session: session.leave(),
+        "File",
+        chord(_KEY.mod_ctrl, _KEY.q),
+        "End the program; unsaved changes are asked about.",
     ),
 )

@@ -6,7 +6,8 @@ from typing import get_args
 from imgui_bundle import imgui
 
 from gsrain_engine.render.look import Look
-from gsrain_engine.session.session import Session, Split
+from gsrain_engine.session.session import Session
+from gsrain_engine.session.view_options import Split
 
 from ..shortcuts import chord
 from .action import Action

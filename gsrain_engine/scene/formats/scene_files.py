@@ -9,14 +9,17 @@ from ..gaussians import Gaussians
 from ..members import Layer
 from ..scene import Scene
 from .gaussian_files import close_match, format_of, read_gaussians, write_gaussians
+from .known_files import KnownFiles
 from .scene_folder import SCENE_FILE, read_scene_folder, write_scene_folder
 from .sog import read_sog
 
 _SOG_FILE = "meta.json"
 
 
-def read_scene(path: Path | str) -> Scene:
+def read_scene(path: Path | str, known: KnownFiles | None = None) -> Scene:
     """Read a scene folder, a file of any format in `FORMATS`, or a SOG folder.
+
+    `known` learns which Gaussians the files of a scene folder hold.
 
     A single file becomes one background layer named after it, in units of 1 m with -y upwards: the axes of COLMAP and
     3DGS captures, and a guess for the units that the file does not hold.
@@ -27,7 +30,7 @@ def read_scene(path: Path | str) -> Scene:
     """
     path = Path(path)
     try:
-        return _read(path)
+        return _read(path, known)
     except FileNotFoundError as error:
         missing = Path(error.filename or path)
         raise SceneFormatError(missing, f"there is no such file or folder{_neighbour(missing)}") from None
@@ -35,33 +38,41 @@ def read_scene(path: Path | str) -> Scene:
         raise SceneFormatError(error.filename or path, f"can't be read: {error.strerror or error}") from None
 
 
-def write_scene(scene: Scene, path: Path | str) -> None:
+def names_scene_folder(path: Path) -> bool:
+    """Whether a scene that is written to this path becomes a folder: the name ends in no suffix of a file."""
+    return path.is_dir() or (format_of(path) is None and not re.fullmatch(r"\.[A-Za-z]\w*", path.suffix))
+
+
+def write_scene(
+    scene: Scene, path: Path | str, known: KnownFiles | None = None, *, in_drawing_order: bool = False
+) -> None:
     """Write a scene folder, or, where the name ends in a suffix of `FORMATS`, a single file. Missing parents are made.
 
     A single file gets all visible layers, and the visible actors where they are at time 0, in metres with -y upwards
-    (see `flattened`). Either is written whole or not at all; what it replaces stays until then.
+    (see `flattened`). Of a scene folder, files that `known` says to hold the very same Gaussians are not written again;
+    `in_drawing_order` says there that Gaussians need not be sorted when it is opened to be drawn. Either is written
+    whole or not at all; what it replaces stays until then.
 
     Raises:
         SceneFormatError: When the format can't be written or something else is in the way.
         OSError: When the disk refuses.
     """
     path = Path(path)
-    is_folder = path.is_dir() or (format_of(path) is None and not re.fullmatch(r"\.[A-Za-z]\w*", path.suffix))
     path.absolute().parent.mkdir(parents=True, exist_ok=True)
-    if is_folder:
-        write_scene_folder(scene, path)
+    if names_scene_folder(path):
+        write_scene_folder(scene, path, known, in_drawing_order=in_drawing_order)
     else:
         write_gaussians(flattened(scene), path)
 
 
-def _read(path: Path) -> Scene:
+def _read(path: Path, known: KnownFiles | None) -> Scene:
     path.stat()  # a file that isn't there is named as such, whatever its suffix
     if path.name == SCENE_FILE:
         path = path.parent
     if not path.is_dir():
         return _single_layer(_stem(path), read_gaussians(path))
     if (path / SCENE_FILE).is_file():
-        return read_scene_folder(path)
+        return read_scene_folder(path, known)
     if (path / _SOG_FILE).is_file():
         return _single_layer(path.resolve().name, read_sog(path))
     raise SceneFormatError(path, f"a scene folder holds {SCENE_FILE} and a SOG folder {_SOG_FILE}; this has neither")

@@ -1,49 +1,92 @@
 """Scene folders: `scene.json`, and one 3DGS PLY a layer and actor."""
 
+import glob
 import hashlib
+import os
 import re
+import shutil
+import time
 from pathlib import Path
 
 import msgspec
 
 from ..atomic_files import sync, whole_file, whole_folder
 from ..errors import SceneFormatError
+from ..file_lock import locked
 from ..gaussians import Gaussians
+from ..members import Actor, Layer
 from ..scene import Scene
 from .gaussian_files import check_writable, read_gaussians
+from .known_files import KnownFiles
 from .ply import write_ply
 from .scene_record import SCENE_VERSION, SceneRecord, places_not_finite, record_of, scene_of
 
 SCENE_FILE = "scene.json"
 
 _LARGEST_SCENE_FILE = 1 << 26
-"""Bytes; a track of an hour at 10 Hz takes 5 MB."""
+"""Bytes; a track of an hour at 10 Hz takes 5 MB; a mask of a million Gaussians at most 0.17 MB."""
+
+_OURS = re.compile(r"\d{3}-.+-[0-9a-f]{12}\.ply|\.\d{3}-.+\.part|\.scene\.json\.[0-9a-f]{8}\.part")
+"""Names that only we give: a writer that was killed leaves such files behind."""
+_ABANDONED_S = 600.0
+"""What another process has not touched for so long, it does not write any more."""
 
 
 class _Version(msgspec.Struct):
     version: int
 
 
-def read_scene_folder(folder: Path) -> Scene:
-    """Read a scene folder of this version or an older one.
+class _Order(msgspec.Struct):
+    in_drawing_order: bool = False
+
+
+def read_scene_folder(folder: Path, known: KnownFiles | None = None) -> Scene:
+    """Read a scene folder of this version or an older one; `known` learns which Gaussians its files hold.
 
     Raises:
         SceneFormatError: When a file is missing, damaged, newer than this program or outside the folder.
     """
     record = _read_record(folder)
-    places = _places(folder, record)
-    gaussians = [read_gaussians(place) for place in places]
+    try:
+        places = _places(folder, record)
+        gaussians = [read_gaussians(place) for place in places]
+    except (SceneFormatError, FileNotFoundError):
+        if _read_record(folder) == record:
+            raise
+        return read_scene_folder(folder, known)  # another process has replaced the scene, and its files, meanwhile
+    if known is not None:
+        known.remember(folder, list(zip(gaussians, places, strict=True)))
     try:
         return scene_of(record, gaussians)
     except ValueError as error:
         raise SceneFormatError(folder / SCENE_FILE, str(error)) from None
 
 
-def write_scene_folder(scene: Scene, folder: Path) -> None:
+def is_in_drawing_order(folder: Path) -> bool:
+    """Whether a scene folder holds its Gaussians in their drawing order.
+
+    Raises:
+        SceneFormatError: When its `scene.json` is no description of a scene.
+    """
+    return msgspec.json.decode(_checked_version(folder), type=_Order).in_drawing_order
+
+
+def write_scene_folder(
+    scene: Scene,
+    folder: Path,
+    known: KnownFiles | None = None,
+    *,
+    linking: bool = False,
+    in_drawing_order: bool = False,
+) -> None:
     """Write a scene folder, or replace one: at every moment, readers find the old scene or the new one, whole.
 
     A new folder is written beside its place and renamed. In an existing one, the new Gaussians get files of their own,
-    `scene.json` is replaced, which is the moment of change, and then the old files go. Other files in it stay.
+    `scene.json` is replaced, which is the moment of change, and then the old files go, with what a writer that was
+    killed has left there. Other files in it stay. Files that `known` says to hold the very same Gaussians stay where
+    they are; with `linking`, those of other folders get a second name here instead of being written again.
+
+    One process writes at a time; others wait.
 
     Raises:
         SceneFormatError: When something that is no scene folder, or one of a newer program, is in the way; or when the
@@ -51,28 +94,34 @@ def write_scene_folder(scene: Scene, folder: Path) -> None:
         OSError: When it can't be written; what was there is as before.
     """
     folder = folder.resolve()
-    _check_writable(scene, folder)
+    writer = _Writer(scene, known or KnownFiles(), linking, in_drawing_order)
+    _check_writable(scene, folder, writer.known)
     if _is_new(folder):
+        _remove_abandoned(folder)
         with whole_folder(folder) as beside:
-            _write_all(scene, beside, set())
+            files = writer.write(beside, set())
+        files = [folder / file.relative_to(beside) for file in files]
     else:
-        old = _replaceable_files(folder)
-        new = _write_all(scene, folder, old)
-        for file in old - new:
-            file.unlink(missing_ok=True)
+        with locked(folder):
+            old = _replaceable_files(folder)
+            files = writer.write(folder, old)
+            for file in (old | _leftovers(folder)) - set(files):
+                file.unlink(missing_ok=True)
+    writer.known.remember(folder, [(each.gaussians, file) for each, file in zip(scene.members, files, strict=True)])
 
 
-def _check_writable(scene: Scene, folder: Path) -> None:
+def _check_writable(scene: Scene, folder: Path, known: KnownFiles) -> None:
     """Refuse a scene that could not be read again, before it takes the place of one that can."""
-    members = _members(scene)
-    for kind, name, gaussians in members:
-        check_writable(folder, gaussians, f" of {kind[:-1]} {name!r}")
-    record = record_of(scene, [""] * len(members))
+    gaussians = [each.gaussians for each in scene.members]
+    for member in scene.members:
+        if known.file_anywhere(member.gaussians) is None:  # those that came from a file were checked then
+            check_writable(folder, member.gaussians, f" of {_kind(member)[:-1]} {member.name!r}")
+    record = record_of(scene, [""] * len(gaussians))
     path = folder / SCENE_FILE
     for place in places_not_finite(msgspec.to_builtins(record)):
         raise SceneFormatError(path, f"can't be written: expected a finite number - at `{place}`")
     try:
-        scene_of(msgspec.json.decode(msgspec.json.encode(record), type=SceneRecord), [part for *_, part in members])
+        scene_of(msgspec.json.decode(msgspec.json.encode(record), type=SceneRecord), gaussians)
     except (ValueError, RecursionError) as error:  # among them msgspec's errors, and text that is no Unicode
         raise SceneFormatError(path, f"can't be written: {error}") from None
 
@@ -94,42 +143,91 @@ def _replaceable_files(folder: Path) -> set[Path]:
         return set()  # a damaged scene may be replaced; what its files were can't be known
 
 
-def _write_all(scene: Scene, folder: Path, kept: set[Path]) -> set[Path]:
-    """Write files and `scene.json`; on failure remove again what was written, but for the files in `kept`."""
-    written: list[Path] = []
-    try:
-        for kind, name, gaussians in _members(scene):
-            written.append(_write_member(gaussians, folder / kind, len(written), name))
-        for kind in {place.parent for place in written}:
-            sync(kind)
-        record = record_of(scene, [place.relative_to(folder).as_posix() for place in written])
-        with whole_file(folder / SCENE_FILE) as beside:
-            beside.write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=1))
-    except BaseException:
-        for place in set(written) - kept:
-            place.unlink(missing_ok=True)
-        raise
-    return set(written)
+def _leftovers(folder: Path) -> set[Path]:
+    """Files under names that only we give, in a scene folder; those of its present scene among them."""
+    places = (folder, folder / "layers", folder / "actors")
+    return {file for place in places if place.is_dir() for file in place.iterdir() if _OURS.fullmatch(file.name)}
 
 
-def _members(scene: Scene) -> list[tuple[str, str, Gaussians]]:
-    """Subfolder, name and Gaussians of all layers, then all actors."""
-    return [(each.key.split("/")[0], each.name, each.gaussians) for each in scene.members]
+def _remove_abandoned(folder: Path) -> None:
+    """Remove what writers that were killed have left beside the place of a new folder."""
+    for part in folder.parent.glob(f".{glob.escape(folder.name)}.*.part"):
+        if part.is_dir() and time.time() - part.stat().st_mtime > _ABANDONED_S:
+            shutil.rmtree(part, ignore_errors=True)
 
 
-def _write_member(gaussians: Gaussians, folder: Path, index: int, name: str) -> Path:
-    """Write one PLY whose name ends in a hash of its bytes, so that it never stands in the place of another."""
-    folder.mkdir(exist_ok=True)
-    label = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:40] or "unnamed"
-    beside = folder / f".{index:03d}-{label}.part"
-    try:
-        write_ply(gaussians, beside)
-        sync(beside)
-        with beside.open("rb") as file:
-            digest = hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=6)).hexdigest()
-        return beside.replace(folder / f"{index:03d}-{label}-{digest}.ply")
-    finally:
-        beside.unlink(missing_ok=True)
+class _Writer:
+    """Writes the files of one scene."""
+
+    def __init__(self, scene: Scene, known: KnownFiles, linking: bool, in_drawing_order: bool) -> None:
+        self.scene = scene
+        self.known = known
+        self._linking = linking
+        self._in_drawing_order = in_drawing_order
+
+    def write(self, folder: Path, kept: set[Path]) -> list[Path]:
+        """Write files and `scene.json`; on failure remove again what was written, but for the files in `kept`.
+
+        Returns the files of all layers, then of all actors.
+        """
+        files: list[Path] = []
+        written: set[Path] = set()
+        try:
+            for member in self.scene.members:
+                file = self.known.file_in(folder, member.gaussians, set(files))
+                if file is None or file not in kept:
+                    file = self._written(member, folder / _kind(member), len(files))
+                    written.add(file)
+                files.append(file)
+            for kind in {file.parent for file in written}:
+                sync(kind)
+            names = [file.relative_to(folder).as_posix() for file in files]
+            record = record_of(self.scene, names, in_drawing_order=self._in_drawing_order)
+            with whole_file(folder / SCENE_FILE) as beside:
+                beside.write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=1))
+        except BaseException:
+            for file in written - kept:
+                file.unlink(missing_ok=True)
+            raise
+        return files
+
+    def _written(self, member: Layer | Actor, folder: Path, index: int) -> Path:
+        """Write one PLY whose name ends in a hash of its bytes, so that it never stands in the place of another."""
+        folder.mkdir(exist_ok=True)
+        label = re.sub(r"[^a-z0-9]+", "-", member.name.lower()).strip("-")[:40] or "unnamed"
+        beside = folder / f".{index:03d}-{label}.part"
+        try:
+            digest = self._linked(member.gaussians, beside)
+            if digest is None:
+                write_ply(member.gaussians, beside)
+                sync(beside)
+                with beside.open("rb") as file:
+                    digest = hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=6)).hexdigest()
+            return beside.replace(folder / f"{index:03d}-{label}-{digest}.ply")
+        finally:
+            beside.unlink(missing_ok=True)
+
+    def _linked(self, gaussians: Gaussians, target: Path) -> str | None:
+        """Give a file of ours that holds these Gaussians a second name; returns the hash that its first name ends in.
+
+        Where the disk can't do that, the file is copied: written anew, numbers could differ in their last bits. None
+        where there is no such file.
+        """
+        source = self.known.file_anywhere(gaussians) if self._linking else None
+        if source is None or not _OURS.fullmatch(source.name):
+            return None
+        target.unlink(missing_ok=True)
+        try:
+            os.link(source, target)
+        except OSError:  # another disk, or one without second names
+            shutil.copyfile(source, target)
+            sync(target)
+        return source.stem.rpartition("-")[2]
+
+
+def _kind(member: Layer | Actor) -> str:
+    """Subfolder of a member's file."""
+    return member.key.split("/")[0]
 
 
 def _read_record(folder: Path) -> SceneRecord:

@@ -6,32 +6,28 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
+from jaxtyping import Float64
 from msgspec import Meta
 
 from ..camera import DEFAULT_EXPOSURE_S
 from ..gaussians import Gaussians
+from ..grading import UNCHANGED, Grading
 from ..members import Actor, Layer
-from ..rotations import normalized
 from ..scene import RigCamera, Scene
-from ..track import Track
+from .marks_record import MarksRecord, marks_of, marks_record, selections_of, selections_record
+from .path_record import PathRecord, path_of, path_record
+from .track_record import TrackRecord, Vector, track_of, track_record
 
-SCENE_VERSION = 1
+SCENE_VERSION = 2
 """Raised when a field is added. Each field has a default that says what older files meant, so that they can be read."""
 
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
 Row = tuple[float, float, float, float]
+Matrix = tuple[Row, Row, Row, Row]
 Positive = Annotated[float, Meta(gt=0)]
+Share = Annotated[float, Meta(ge=0, le=1)]
 Pixels = Annotated[int, Meta(ge=1, le=16384)]
 
-
-class TrackRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A `Track`, one entry a sample in every list."""
-
-    times: list[float]
-    positions: list[Vector]
-    quaternions_wxyz: list[Quaternion]
-    valid: list[bool]
+_IDENTITY: Matrix = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
 class LayerRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -41,6 +37,11 @@ class LayerRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     file: str
     kind: Literal["background", "sky"] = "background"
     visible: bool = True
+    locked: bool = False
+    opacity: Share = 1.0
+    grading: Grading = UNCHANGED
+    marks: MarksRecord = MarksRecord()
+    to_scene: Matrix = _IDENTITY
 
 
 class ActorRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -52,6 +53,10 @@ class ActorRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     class_name: str = msgspec.field(default="", name="class")
     size_lwh: Vector = (0.0, 0.0, 0.0)
     visible: bool = True
+    locked: bool = False
+    opacity: Share = 1.0
+    grading: Grading = UNCHANGED
+    marks: MarksRecord = MarksRecord()
 
 
 class CameraRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -64,7 +69,7 @@ class CameraRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     fy: Positive
     cx: float
     cy: float
-    camera_to_ego: tuple[Row, Row, Row, Row]
+    camera_to_ego: Matrix
     exposure_s: Positive = DEFAULT_EXPOSURE_S
 
 
@@ -80,7 +85,13 @@ class SceneRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     actors: list[ActorRecord] = []
     rigs: dict[str, list[CameraRecord]] = {}
     ego: TrackRecord | None = None
+    path: PathRecord | None = None
     rain: dict[str, Any] | None = None
+    weather: dict[str, Any] | None = None
+    view: dict[str, Any] | None = None
+    selections: dict[str, dict[str, str]] = {}
+    in_drawing_order: bool = False
+    """Whether the files hold their Gaussians as they are best drawn, so that they need not be sorted when opened."""
 
     @property
     def files(self) -> list[str]:
@@ -88,7 +99,7 @@ class SceneRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return [each.file for each in (*self.layers, *self.actors)]
 
 
-def record_of(scene: Scene, files: list[str]) -> SceneRecord:
+def record_of(scene: Scene, files: list[str], *, in_drawing_order: bool = False) -> SceneRecord:
     """Plain values of a scene whose layers, then actors, are kept in these files."""
     names = iter(files)
     return SceneRecord(
@@ -97,24 +108,16 @@ def record_of(scene: Scene, files: list[str]) -> SceneRecord:
         metres_per_unit=scene.metres_per_unit,
         up=scene.up,
         ground_m=scene.ground_m,
-        layers=[
-            LayerRecord(name=layer.name, kind=layer.kind, visible=layer.visible, file=next(names))
-            for layer in scene.layers
-        ],
-        actors=[
-            ActorRecord(
-                id=actor.id,
-                class_name=actor.class_name,
-                size_lwh=actor.size_lwh,
-                visible=actor.visible,
-                file=next(names),
-                track=_track_record(actor.track),
-            )
-            for actor in scene.actors
-        ],
+        layers=[_layer_record(layer, next(names)) for layer in scene.layers],
+        actors=[_actor_record(actor, next(names)) for actor in scene.actors],
         rigs={name: [_camera_record(camera) for camera in cameras] for name, cameras in scene.rigs.items()},
-        ego=_track_record(scene.ego) if scene.ego is not None else None,
+        ego=track_record(scene.ego) if scene.ego is not None else None,
+        path=path_record(scene.path) if scene.path is not None else None,
         rain=dict(scene.rain) if scene.rain is not None else None,
+        weather=dict(scene.weather) if scene.weather is not None else None,
+        view=dict(scene.view) if scene.view is not None else None,
+        selections=selections_record(scene.selections, {each.key: len(each.gaussians) for each in scene.members}),
+        in_drawing_order=in_drawing_order,
     )
 
 
@@ -128,26 +131,23 @@ def scene_of(record: SceneRecord, gaussians: list[Gaussians]) -> Scene:
     given = iter(gaussians)
     if not np.isfinite(record.up).all() or not 1e-9 < np.linalg.norm(record.up) < 1e9:
         raise ValueError(f"`$.up` must be a direction, not {list(record.up)}")
+    layers = tuple(_layer(each, next(given), f"`$.layers[{i}]") for i, each in enumerate(record.layers))
+    actors = tuple(_actor(each, next(given), f"`$.actors[{i}]") for i, each in enumerate(record.actors))
+    counts = {each.key: len(each.gaussians) for each in (*layers, *actors)}
     return Scene(
         name=record.name,
-        layers=tuple(Layer(layer.name, next(given), layer.kind, visible=layer.visible) for layer in record.layers),
-        actors=tuple(
-            Actor(
-                actor.id,
-                actor.class_name,
-                actor.size_lwh,
-                next(given),
-                _track(actor.track, f"`$.actors[{i}].track`"),
-                visible=actor.visible,
-            )
-            for i, actor in enumerate(record.actors)
-        ),
+        layers=layers,
+        actors=actors,
         metres_per_unit=record.metres_per_unit,
         up=record.up,
         ground_m=record.ground_m,
         rigs={name: tuple(_camera(camera, name) for camera in cameras) for name, cameras in record.rigs.items()},
-        ego=_track(record.ego, "`$.ego`") if record.ego is not None else None,
+        ego=track_of(record.ego, "`$.ego`") if record.ego is not None else None,
+        path=path_of(record.path, "`$.path`") if record.path is not None else None,
         rain=record.rain,
+        weather=record.weather,
+        view=record.view,
+        selections=selections_of(record.selections, counts),
     )
 
 
@@ -163,36 +163,84 @@ def places_not_finite(value: object, place: str = "$") -> Iterator[str]:
             yield from places_not_finite(each, f"{place}[{i}]")
 
 
-def _track_record(track: Track) -> TrackRecord:
-    return TrackRecord(
-        times=track.times.tolist(),
-        positions=[(float(x), float(y), float(z)) for x, y, z in track.positions],
-        quaternions_wxyz=[(float(w), float(x), float(y), float(z)) for w, x, y, z in track.quaternions_wxyz],
-        valid=track.valid.tolist(),
+def _layer_record(layer: Layer, file: str) -> LayerRecord:
+    return LayerRecord(
+        name=layer.name,
+        file=file,
+        kind=layer.kind,
+        visible=layer.visible,
+        locked=layer.locked,
+        opacity=layer.opacity,
+        grading=layer.grading,
+        marks=marks_record(layer.marks),
+        to_scene=_rows(layer.to_scene),
     )
 
 
-def _track(record: TrackRecord, where: str) -> Track:
-    n = len(record.times)
-    if not n == len(record.positions) == len(record.quaternions_wxyz) == len(record.valid):
-        raise ValueError(f"times, positions, quaternions_wxyz and valid must be equally long - at {where}")
-    times = np.array(record.times, np.float64)
-    positions = np.array(record.positions, np.float64).reshape(n, 3)
-    quaternions = np.array(record.quaternions_wxyz, np.float64).reshape(n, 4)
-    if (np.diff(times) <= 0).any():
-        raise ValueError(f"times must rise - at {where}")
-    lengths = np.linalg.norm(quaternions, axis=1)
-    bad = np.flatnonzero(~((lengths > 1e-9) & (lengths < 1e9)))
-    if len(bad):
-        raise ValueError(f"quaternion {bad[0]} must be above 0 long and finite, not {lengths[bad[0]]:g} - at {where}")
-    # What is unit already stays as it is, to the bit.
-    exact = np.abs(lengths - 1) < 1e-12
-    unit = np.where(exact[:, None], quaternions, normalized(quaternions))
-    return Track(times, positions, unit, np.array(record.valid, np.bool_))
+def _layer(record: LayerRecord, gaussians: Gaussians, where: str) -> Layer:
+    return Layer(
+        record.name,
+        gaussians,
+        record.kind,
+        _similarity(record.to_scene, f"{where}.to_scene`"),
+        visible=record.visible,
+        locked=record.locked,
+        opacity=record.opacity,
+        grading=record.grading,
+        marks=marks_of(record.marks, len(gaussians), f"{where}.marks"),
+    )
+
+
+def _actor_record(actor: Actor, file: str) -> ActorRecord:
+    return ActorRecord(
+        id=actor.id,
+        file=file,
+        track=track_record(actor.track),
+        class_name=actor.class_name,
+        size_lwh=actor.size_lwh,
+        visible=actor.visible,
+        locked=actor.locked,
+        opacity=actor.opacity,
+        grading=actor.grading,
+        marks=marks_record(actor.marks),
+    )
+
+
+def _actor(record: ActorRecord, gaussians: Gaussians, where: str) -> Actor:
+    return Actor(
+        record.id,
+        record.class_name,
+        record.size_lwh,
+        gaussians,
+        track_of(record.track, f"{where}.track`"),
+        visible=record.visible,
+        locked=record.locked,
+        opacity=record.opacity,
+        grading=record.grading,
+        marks=marks_of(record.marks, len(gaussians), f"{where}.marks"),
+    )
+
+
+def _rows(matrix: Float64[np.ndarray, "4 4"]) -> Matrix:
+    a, b, c, d = (tuple(row) for row in matrix.tolist())
+    return a, b, c, d
+
+
+def _similarity(rows: Matrix, where: str) -> Float64[np.ndarray, "4 4"]:
+    matrix = np.array(rows, np.float64)
+    scale = np.cbrt(np.linalg.det(matrix[:3, :3]))
+    if not 1e-9 < scale < 1e9 or not _is_pose(matrix / [scale, scale, scale, 1.0]):
+        raise ValueError(f"the matrix must be a rotation, one scale above 0 and a place - at {where}")
+    return matrix
+
+
+def _is_pose(matrix: Float64[np.ndarray, "4 4"]) -> bool:
+    rotation = matrix[:3, :3]
+    is_rotation = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
+    return bool(is_rotation and np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-6))
 
 
 def _camera_record(camera: RigCamera) -> CameraRecord:
-    a, b, c, d = (tuple(row) for row in camera.camera_to_ego.tolist())
     return CameraRecord(
         name=camera.name,
         width=camera.width,
@@ -201,16 +249,14 @@ def _camera_record(camera: RigCamera) -> CameraRecord:
         fy=camera.fy,
         cx=camera.cx,
         cy=camera.cy,
-        camera_to_ego=(a, b, c, d),
+        camera_to_ego=_rows(camera.camera_to_ego),
         exposure_s=camera.exposure_s,
     )
 
 
 def _camera(record: CameraRecord, rig: str) -> RigCamera:
     matrix = np.array(record.camera_to_ego, np.float64)
-    rotation = matrix[:3, :3]
-    is_rotation = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
-    if not is_rotation or not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-6):
+    if not _is_pose(matrix):
         raise ValueError(f"camera_to_ego of camera {record.name!r} must be a rotation and a place - at `$.rigs.{rig}`")
     return RigCamera(
         record.name,

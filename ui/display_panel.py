@@ -1,4 +1,4 @@
-"""The Scene panel: layers, actors, how the scene lies in the world."""
+"""The Display panel: how the viewport shows things."""
 
 from imgui_bundle import imgui
 
@@ -10,18 +10,12 @@ from .fields import plain_label
 _STORAGES: dict[Harmonics, str] = {"single": "32 bits", "half": "16 bits", "byte": "8 bits"}
 
 
-def scene_panel(session: Session) -> None:
+_held: dict[str, float] = {}
+"""Sliders that are being dragged, by the preference they are of."""
+
+
+def display_panel(session: Session) -> None:
     """Draw the panel."""
-    scene = session.scene
-    imgui.text(f"{scene.name}: {scene.gaussian_count:,} Gaussians")
-    flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop
-    if imgui.begin_table("members", 3, flags):
-        for layer in scene.layers:
-            _member(session, layer.key, layer.name, layer.kind, len(layer.gaussians), layer.visible)
-        for actor in scene.actors:
-            _member(session, actor.key, actor.id, f"actor, {actor.class_name}", len(actor.gaussians), actor.visible)
-        imgui.end_table()
-    imgui.separator_text("View")
     view = session.view
     plain_label("Background", "Shown where the scene has nothing.")
     _, color = imgui.color_edit3("##background", list(view.background))
@@ -51,16 +45,26 @@ def scene_panel(session: Session) -> None:
     _, session.navigation.vertical_fov_deg = imgui.slider_float(
         "##fov", session.navigation.vertical_fov_deg, 15, 110, "%.0f"
     )
-
-
-def _member(session: Session, key: str, name: str, kind: str, count: int, visible: bool) -> None:
-    imgui.table_next_row()
-    imgui.table_next_column()
-    changed, shown = imgui.checkbox(f"{name}##{kind}", visible)
-    imgui.set_item_tooltip("Show or hide.")
+    imgui.separator_text("Window")
+    preferences = session.preferences
+    plain_label("Theme", "Colours of panels and menus.")
+    themes = ["dark", "light"]
+    changed, index = imgui.combo("##theme", themes.index(preferences.theme), themes)
     if changed:
-        session.show_member(key, shown)
-    imgui.table_next_column()
-    imgui.text_disabled(kind)
-    imgui.table_next_column()
-    imgui.text(f"{count:,}")
+        session.prefer(theme=themes[index])
+    _preference(session, "font_scale", "Text size", "Times the usual size.", 0.5, 3.0, "%.2f")
+    _preference(session, "ui_scale", "Spacing", "Size of buttons and gaps, times the usual.", 0.5, 3.0, "%.2f")
+    _preference(
+        session, "autosave_s", "Autosave (s)", "A change is kept beside the scene after so long.", 5.0, 600.0, "%.0f"
+    )
+
+
+def _preference(session: Session, name: str, title: str, help_text: str, low: float, high: float, text: str) -> None:
+    """Edit a preference; it is taken when the slider is let go, so that nothing jumps under the hand."""
+    plain_label(title, help_text)
+    held = _held.get(name, getattr(session.preferences, name))
+    changed, value = imgui.slider_float(f"##{name}", held, low, high, text, imgui.SliderFlags_.always_clamp)
+    if changed:
+        _held[name] = value
+    if imgui.is_item_deactivated_after_edit() and name in _held:
+        session.prefer(**{name: _held.pop(name)})

@@ -1,0 +1,78 @@
+"""How long does it take to save and to keep an edited scene, and does the window wait for it? Prints JSON.
+
+A session does what a person does: saves a scene of random Gaussians, deletes some by marks, gives all another colour.
+After each change the document is saved, and kept as an autosave. The main thread meanwhile does what it does each
+frame, `update`, and nothing else: the longest time between two calls is what a window would stall for beyond drawing.
+"""
+
+import argparse
+import json
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from gsrain_engine.render.machine import machine
+from gsrain_engine.scene.marks import Marks
+from gsrain_engine.scene.mask import Mask
+from gsrain_engine.scene.random_scene import random_scene
+from gsrain_engine.session.session import Session
+
+_PAUSE_S = 0.001
+"""Between two calls of `update`, for which a window would draw."""
+
+
+def waited(session: Session, begin: Callable[[], None]) -> dict[str, float]:
+    """Seconds until everything in the background is through, and the longest time between two updates."""
+    start = last = time.perf_counter()
+    begin()
+    longest = time.perf_counter() - last
+    while True:
+        session.update(0.0)
+        now = time.perf_counter()
+        longest, last = max(longest, now - last), now
+        if not session.pending_files:
+            return {"seconds": round(now - start, 3), "longest_update_ms": round(1000 * longest, 1)}
+        time.sleep(_PAUSE_S)
+
+
+def kept(session: Session) -> dict[str, float]:
+    """What an autosave takes whose time has come."""
+    session.update(0.0)
+    late = time.monotonic() + session.preferences.autosave_s
+    session.files.recovery.now = lambda: late
+    taken = waited(session, lambda: session.update(0.0))
+    session.files.recovery.now = time.monotonic
+    return taken
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scene", default="random-1m", help="random scene, as of `gsrain bench render`")
+    parser.add_argument("--folder", type=Path, help="where to write; by default a temporary folder")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
+        os.environ["XDG_STATE_HOME"] = os.environ["XDG_CONFIG_HOME"] = folder  # not among a person's own recent files
+        home = Path(folder) / "scene"
+        session = Session(random_scene(arguments.scene))
+        gaussians = session.scene.members[0].gaussians
+        results = {"save for the first time": waited(session, lambda: session.save(home))}
+        chosen = np.random.default_rng(0).random(len(gaussians)) < 0.3
+        changes = {
+            "marks": {"marks": Marks(deleted=Mask.of(chosen))},
+            "colours": {"gaussians": gaussians.with_sh((gaussians.sh * np.float32(0.8)).astype(np.float32))},
+        }
+        for name, fields in changes.items():
+            session.set_scene(name, session.scene.with_member(session.scene.members[0].key, **fields))
+            results[f"autosave after a change of {name}"] = kept(session)
+            results[f"save after a change of {name}"] = waited(session, session.files.save)
+        session.close()
+    print(json.dumps({"scene": arguments.scene, "results": results, "machine": machine()}, indent=1))
+
+
+if __name__ == "__main__":
+    main()

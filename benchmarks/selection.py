@@ -1,0 +1,112 @@
+"""How long does it take to select among 1 M Gaussians, by tool? Prints JSON, and a line a tool on the way."""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from gsrain_engine.kernel_cache import use_kernel_cache
+
+use_kernel_cache()
+
+from gsrain_engine.render.scene_view import Shot  # noqa: E402
+from gsrain_engine.scene.mask import Mask  # noqa: E402
+from gsrain_engine.scene.random_scene import random_scene, random_scene_camera  # noqa: E402
+from gsrain_engine.scene.scene import Scene  # noqa: E402
+from gsrain_engine.session.edits.cropping import CropBox  # noqa: E402
+from gsrain_engine.session.picking import Picked, pick, pick_point  # noqa: E402
+from gsrain_engine.session.selection import image_shapes  # noqa: E402
+from gsrain_engine.session.selection.attributes import ATTRIBUTES, in_range  # noqa: E402
+from gsrain_engine.session.selection.colors import alike, base_color  # noqa: E402
+from gsrain_engine.session.selection.combine import combined, inverted  # noqa: E402
+from gsrain_engine.session.selection.flood import flooded  # noqa: E402
+from gsrain_engine.session.selection.histogram import AttributeHistogram  # noqa: E402
+from gsrain_engine.session.selection.in_picture import ALL_THROUGH, Reach, in_picture  # noqa: E402
+from gsrain_engine.session.selection.neighbourhood import grown, rim  # noqa: E402
+from gsrain_engine.session.selection.volumes import Ball, in_volume  # noqa: E402
+
+WIDTH, HEIGHT = 1280, 800
+TOLERANCE, REACH, NEAR_M = 0.15, 2.0, 0.05
+
+
+def least_ms(work: Callable[[], object], repeats: int) -> float:
+    work()  # compiles, or loads what was compiled
+    times: list[float] = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return 1000 * min(times)
+
+
+def tools(scene: Scene, shot: Shot) -> dict[str, Callable[[], Mapping[str, Mask]]]:
+    angles = np.linspace(0, 2 * np.pi, 400)
+    lasso = [(640 + (300 + 60 * np.sin(9 * a)) * np.cos(a), 400 + 250 * np.sin(a)) for a in angles.tolist()]
+    stroke = [(200 + 4 * k, 400 + 100 * np.sin(k / 20)) for k in range(200)]
+    middle = (np.array([0.0, 0, 14, 1]) @ scene.scene_to_world.T)[:3]
+    center = (float(middle[0]), float(middle[1]), float(middle[2]))
+    picked = under_the_middle(scene, shot)
+    color = base_color(scene.parts()[0], picked.gaussian)
+
+    def rectangle() -> np.ndarray:
+        return image_shapes.rectangle((300, 200), (1000, 700), WIDTH, HEIGHT)
+
+    def by_shape(pixels: Callable[[], np.ndarray], reach: Reach = ALL_THROUGH) -> Callable[[], Mapping[str, Mask]]:
+        return lambda: in_picture(scene, shot, pixels(), reach)
+
+    found: dict[str, Callable[[], Mapping[str, Mask]]] = {
+        "rectangle": by_shape(rectangle),
+        "lasso": by_shape(lambda: image_shapes.polygon(lasso, WIDTH, HEIGHT)),
+        "brush": by_shape(lambda: image_shapes.stroke(stroke, 24, WIDTH, HEIGHT)),
+        "rectangle to a depth": by_shape(rectangle, Reach("to a depth", 10.0)),
+        "rectangle touching": by_shape(rectangle, Reach(touching=True)),
+        "rectangle front-most": by_shape(rectangle, Reach("front-most")),
+        "sphere": lambda: in_volume(scene, 0.0, Ball(center, 4.0)),
+        "box": lambda: in_volume(scene, 0.0, CropBox(center, (6.0, 4.0, 3.0), 30.0)),
+        "colour pick": lambda: alike(scene, 0.0, color, TOLERANCE),
+        "flood": lambda: flooded(scene, 0.0, picked.key, picked.gaussian, TOLERANCE, REACH),
+    }
+    for name in ATTRIBUTES:
+        found[f"range of {name}"] = lambda name=name: in_range(scene, 0.0, shot.camera, name, 0.1, 0.6)
+    return found
+
+
+def under_the_middle(scene: Scene, shot: Shot) -> Picked:
+    picked = pick(scene, shot, WIDTH / 2, HEIGHT / 2)
+    assert picked is not None, "the random scene fills the picture"
+    return picked
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scene", default="random-1m", help="a random scene by name")
+    parser.add_argument("--repeats", type=int, default=5)
+    arguments = parser.parse_args()
+    scene = random_scene(arguments.scene)
+    shot = Shot(random_scene_camera(scene, WIDTH, HEIGHT))
+    rows: dict[str, dict[str, float]] = {}
+
+    def measure(name: str, work: Callable[[], object], count: int | None = None) -> None:
+        rows[name] = {"ms": round(least_ms(work, arguments.repeats), 1)}
+        if count is not None:
+            rows[name]["found"] = count
+        found = "" if count is None else f"  {count:>9,} Gaussians"
+        print(f"{name:24} {rows[name]['ms']:8.1f} ms{found}", file=sys.stderr, flush=True)
+
+    for name, find in tools(scene, shot).items():
+        found = find()
+        measure(name, lambda find=find: combined(scene, find(), "set"), sum(mask.size for mask in found.values()))
+    balled = combined(scene, tools(scene, shot)["sphere"](), "set")
+    measure("invert", lambda: inverted(balled))
+    measure("grow", lambda: grown(balled, 0.0, NEAR_M))
+    measure("shrink", lambda: rim(balled, 0.0, NEAR_M))
+    measure("histogram", lambda: AttributeHistogram().of(balled, shot, "hue"))
+    measure("pick a point", lambda: pick_point(scene, shot, WIDTH / 2, HEIGHT / 2))
+    print(json.dumps({"scene": arguments.scene, "gaussians": scene.gaussian_count, "tools": rows}))
+
+
+if __name__ == "__main__":
+    main()

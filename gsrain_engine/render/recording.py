@@ -1,0 +1,156 @@
+"""What a person asks for when a clip is recorded: one value, its bounds, units and help texts."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+Pass = Literal["color", "depth", "alpha", "labels"]
+Codec = Literal["auto", "h264", "vp9", "av1", "png", "exr"]
+LARGEST_PX = 16384
+Pixels = Annotated[int, Meta(ge=1, le=LARGEST_PX)]
+
+DEFAULT_SIZE_PX = (960, 640)
+
+USUAL_QUALITY = {"h264": 18, "vp9": 24, "av1": 28}
+"""Constant rate factor of each video codec where none is asked for: hardly a difference to be seen."""
+
+_CONTAINERS: dict[str, tuple[str, ...]] = {
+    "h264": (".mp4",),
+    "vp9": (".webm",),
+    "av1": (".webm", ".mp4"),
+    "png": (".png", ""),
+    "exr": (".exr", ""),
+    "npy": (".npy",),
+}
+"""Endings of the files that each codec goes into, the usual one first; "" is a folder."""
+
+_BY_SUFFIX = {".mp4": "h264", ".webm": "vp9", ".png": "png", ".exr": "exr", ".npy": "npy", "": "png"}
+
+
+class Recording(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One export. What it shows (scene, rain, path) is the document's."""
+
+    output: Annotated[
+        str,
+        Meta(
+            title="Output",
+            description="PNG, EXR or NPY for a still, MP4 or WebM for a video, a folder for numbered frames.",
+        ),
+    ]
+    size_px: Annotated[
+        tuple[Pixels, Pixels] | None,
+        Meta(title="Size", description="Width and height; none takes each rig camera's own.", extra={"unit": "px"}),
+    ] = None
+    fps: Annotated[
+        float, Meta(ge=0.1, le=1000, title="Frame rate", description="Frames a second.", extra={"unit": "1/s"})
+    ] = 30.0
+    first_s: Annotated[
+        float, Meta(ge=-36000, le=36000, title="From", description="Moment of the first frame.", extra={"unit": "s"})
+    ] = 0.0
+    last_s: Annotated[
+        float | None,
+        Meta(title="To", description="Moment at which the clip ends; none: where the path ends.", extra={"unit": "s"}),
+    ] = None
+    supersampling: Annotated[
+        int,
+        Meta(
+            ge=1,
+            le=4,
+            title="Supersampling",
+            description="Draw so many times wider and higher, and take the mean. Which drops exist stays the same.",
+        ),
+    ] = 1
+    motion_blur: Annotated[
+        int,
+        Meta(
+            ge=1,
+            le=64,
+            title="Motion blur",
+            description="k sub-frames over the exposure T, with T/k each, averaged in linear light. 1 is none.",
+        ),
+    ] = 1
+    cameras: Annotated[
+        tuple[str, ...],
+        Meta(
+            title="Cameras",
+            description="Rig cameras: RIG, RIG/NAME, NAME, or all; each gets a file of its own. None takes the path.",
+        ),
+    ] = ()
+    passes: Annotated[
+        tuple[Pass, ...],
+        Meta(
+            min_length=1,
+            title="Passes",
+            description="color; depth (16 bit, cm); alpha (8 bit); labels: which layer or actor a pixel shows.",
+        ),
+    ] = ("color",)
+    twin: Annotated[
+        bool,
+        Meta(title="Clear twin", description="Also the same clip at 0 mm/h, as NAME.clear, for tests in pairs."),
+    ] = False
+    codec: Annotated[
+        Codec,
+        Meta(title="Codec", description="auto goes by the output's ending: H.264 in MP4, VP9 in WebM, PNG frames."),
+    ] = "auto"
+    quality: Annotated[
+        int | None,
+        Meta(
+            title="Quality",
+            description="Constant rate factor of a video, lower is better. None: 18 (H.264), 24 (VP9), 28 (AV1).",
+            extra={"ge": 0, "le": 63},
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        if self.last_s is not None and not self.first_s < self.last_s <= self.first_s + 36000:
+            raise ValueError(
+                f"last_s must be above first_s ({self.first_s:g} s) by at most 36000 s, got {self.last_s:g}"
+            )
+        if self.quality is not None and not 0 <= self.quality <= (51 if self.format == "h264" else 63):
+            raise ValueError(f"quality must be within 0..51 (H.264) or 0..63 (VP9, AV1), got {self.quality}")
+
+    @property
+    def path(self) -> Path:
+        """The output as a path."""
+        return Path(self.output)
+
+    @property
+    def suffix(self) -> str:
+        """Ending of the output in lower case; "" is a folder."""
+        return self.path.suffix.lower()
+
+    @property
+    def format(self) -> str:
+        """What is written: h264, vp9, av1, png, exr or npy; "" where the ending says nothing known."""
+        return _BY_SUFFIX.get(self.suffix, "") if self.codec == "auto" else self.codec
+
+    @property
+    def usual_suffix(self) -> str:
+        """Ending that a video of this format usually has; "" for frames, which go into a folder."""
+        return _CONTAINERS[self.format][0] if self.is_video else ""
+
+    @property
+    def is_video(self) -> bool:
+        """Whether colour goes into a video."""
+        return self.format in ("h264", "vp9", "av1")
+
+    @property
+    def is_still(self) -> bool:
+        """Whether it is a single picture."""
+        return self.suffix in (".png", ".exr", ".npy")
+
+    def check(self) -> None:
+        """Raise `ValueError` where output, codec, size and passes contradict one another."""
+        if self.suffix not in _BY_SUFFIX:
+            raise ValueError(
+                f"{self.output}: an output ends in .png, .npy, .exr, .mp4 or .webm, or is a folder without a suffix"
+            )
+        allowed = _CONTAINERS[self.format]
+        if self.suffix not in allowed and not (self.suffix == "" and len(self.cameras) > 0):
+            wanted = " or ".join(each or "nothing (a folder)" for each in allowed)
+            raise ValueError(f"{self.output}: {self.format} needs an output that ends in {wanted}")
+        if self.is_video and self.size_px is not None and any(side % 2 for side in self.size_px):
+            width, height = self.size_px
+            raise ValueError(f"{self.output}: a video needs an even width and height, got {width}x{height}")

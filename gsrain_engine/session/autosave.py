@@ -1,0 +1,189 @@
+"""Autosaves: a copy of the unsaved document beside its scene folder, that outlives the process when it is killed."""
+
+import hashlib
+import logging
+import os
+import secrets
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.scene.file_lock import FileLock
+from gsrain_engine.scene.formats.known_files import KnownFiles
+from gsrain_engine.scene.formats.scene_folder import SCENE_FILE, write_scene_folder
+from gsrain_engine.scene.scene import Scene
+
+from .disk_stamp import DiskStamp
+from .places import state_folder
+
+logger = logging.getLogger("gsrain")
+
+_SCENE, _ABOUT = "scene", "autosave.json"
+
+
+class About(msgspec.Struct, frozen=True, kw_only=True):
+    """What an autosave belongs to."""
+
+    name: str
+    home: str | None = None
+    """The scene folder that the document came from."""
+    stamp: DiskStamp | None = None
+    """State of that folder when the document came from it."""
+
+
+class Autosaved(msgspec.Struct, frozen=True):
+    """An autosave that was found."""
+
+    place: Path
+    about: About
+    saved_at: float
+    """Seconds since 1970."""
+
+    @property
+    def scene(self) -> Path:
+        """The scene folder in it."""
+        return self.place / _SCENE
+
+
+class Entered(NamedTuple):
+    """What was found out about a scene folder when a process went to it."""
+
+    is_alone: bool
+    """Whether no other process has it open."""
+    found: Autosaved | None = None
+    """What a process that died has kept of it."""
+
+
+class Autosave:
+    """The autosave of one process: where it goes, and the locks that tell others that this process lives.
+
+    For one thread at a time: the one that reads and writes files.
+    """
+
+    def __init__(self) -> None:
+        self._home: Path | None = None
+        self._place: Path | None = None
+        self._about: About | None = None
+        self._locks: dict[Path, FileLock] = {}
+
+    def enter(self, home: Path | None, recovered: Path | None = None) -> Entered:
+        """Go to another document: what was kept of the one before is removed.
+
+        `home` is the scene folder that it came from, `recovered` the autosave to go on with.
+        """
+        if self._place != recovered:
+            self.remove()
+        self._home, self._place, self._about = home, None, None
+        place = beside(home) if home is not None else None
+        for other in [each for each in self._locks if each not in (place, recovered)]:
+            self._locks.pop(other).release()
+        if recovered is not None and self._hold(recovered):
+            self._place = recovered
+        if place is None:
+            return Entered(True)
+        return Entered(self._hold(place), None if self._place == place else self.found(place))
+
+    def found(self, place: Path) -> Autosaved | None:
+        """What lies at a place that belongs to no other living process."""
+        if place not in self._locks and not _is_free(place):
+            return None
+        try:
+            about = msgspec.json.decode((place / _ABOUT).read_bytes(), type=About)
+            return Autosaved(place, about, (place / _SCENE / SCENE_FILE).stat().st_mtime)
+        except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+            return None
+
+    def abandoned(self, homes: Iterable[Path]) -> list[Autosaved]:
+        """Autosaves of processes that died: those of these scenes, and those that never had a home. Latest first."""
+        unsaved = [each for each in _unsaved().glob("*") if each.is_dir()] if _unsaved().is_dir() else []
+        found = [self.found(place) for place in (*map(beside, homes), *unsaved)]
+        for place in unsaved:
+            if place not in self._locks and not (place / _SCENE / SCENE_FILE).exists() and _is_free(place):
+                shutil.rmtree(place, ignore_errors=True)  # its process died before there was anything in it
+        return sorted((each for each in found if each is not None), key=lambda each: -each.saved_at)
+
+    def write(self, scene: Scene, stamp: DiskStamp | None, known: KnownFiles) -> None:
+        """Keep a document: beside its home where that can be, else among those that have none.
+
+        Raises:
+            SceneFormatError: When the document could not be read again.
+            OSError: When it can be written nowhere.
+        """
+        about = About(name=scene.name, home=str(self._home) if self._home is not None else None, stamp=stamp)
+        place = self._place
+        if place is None and self._home is not None and beside(self._home) in self._locks:
+            here = beside(self._home)
+            # What a person has put off to recover later stays.
+            place = here if not (here / _ABOUT).exists() and os.access(here.parent, os.W_OK) else None
+        if place is None:
+            place = _unsaved() / f"{os.getpid()}-{secrets.token_hex(4)}"
+            self._hold(place)
+        place.mkdir(parents=True, exist_ok=True)
+        self._place = place
+        if about != self._about:
+            with whole_file(place / _ABOUT) as file:
+                file.write_bytes(msgspec.json.encode(about))
+            self._about = about
+        write_scene_folder(scene, place / _SCENE, known, linking=True, in_drawing_order=True)
+
+    def remove(self) -> None:
+        """Remove what was kept: the document is saved, or given up."""
+        place, self._place, self._about = self._place, None, None
+        if place is not None:
+            _remove(place)
+
+    def discard(self, place: Path) -> None:
+        """Remove what was kept at a place, unless another living process goes on with it."""
+        if place in self._locks or _is_free(place):
+            _remove(place)
+
+    def close(self) -> None:
+        """Let others have what this process held; what is kept stays, unless it was removed before."""
+        while self._locks:
+            self._locks.popitem()[1].release()
+
+    def _hold(self, place: Path) -> bool:
+        if place in self._locks:
+            return True
+        try:
+            lock = FileLock.take(_lock_file(place))
+        except OSError as error:
+            logger.warning("No lock can be had in %s: %s", state_folder(), error.strerror or error)
+            return True
+        if lock is not None:
+            self._locks[place] = lock
+        return lock is not None
+
+
+def beside(home: Path) -> Path:
+    """Where the autosave of a scene folder goes."""
+    return home.with_name(f".{home.name}.autosave")
+
+
+def _remove(place: Path) -> None:
+    """Remove an autosave; first what makes it one."""
+    (place / _ABOUT).unlink(missing_ok=True)
+    shutil.rmtree(place, ignore_errors=True)
+
+
+def _is_free(place: Path) -> bool:
+    try:
+        lock = FileLock.take(_lock_file(place))
+    except OSError:
+        return True
+    if lock is not None:
+        lock.release()
+    return lock is not None
+
+
+def _lock_file(place: Path) -> Path:
+    name = hashlib.blake2b(str(place).encode(errors="replace"), digest_size=12).hexdigest()
+    return state_folder() / "locks" / name
+
+
+def _unsaved() -> Path:
+    return state_folder() / "unsaved"

@@ -1,0 +1,109 @@
+"""Cutting a scene down to a box."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64
+
+from gsrain_engine.scene.bounds import robust_bounds
+from gsrain_engine.scene.marks import Marks
+from gsrain_engine.scene.mask import Mask
+from gsrain_engine.scene.members import Actor, Layer
+from gsrain_engine.scene.scene import Scene
+
+from .members import edited
+
+
+@dataclass(frozen=True)
+class CropBox:
+    """A box in the world, metres, that stands upright and is turned about z."""
+
+    center_m: tuple[float, float, float]
+    size_m: tuple[float, float, float]
+    yaw_deg: float = 0.0
+    """To the left."""
+
+    @property
+    def to_world(self) -> Float64[np.ndarray, "4 4"]:
+        """Takes (-1..1)^3 to the box."""
+        c, s = np.cos(np.radians(self.yaw_deg)), np.sin(np.radians(self.yaw_deg))
+        matrix = np.eye(4)
+        matrix[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]) * (np.array(self.size_m) / 2)
+        matrix[:3, 3] = self.center_m
+        return matrix
+
+    @property
+    def corners_m(self) -> Float64[np.ndarray, "8 3"]:
+        """Corner i is on the upper side of x, y, z where bits 4, 2, 1 of i are set."""
+        signs = np.array([[x, y, z] for x in (-1.0, 1) for y in (-1.0, 1) for z in (-1.0, 1)])
+        return signs @ self.to_world[:3, :3].T + self.to_world[:3, 3]
+
+    def face_m(self, axis: int, upper: bool) -> Float64[np.ndarray, "3"]:
+        """Middle of a face."""
+        return self.to_world[:3, 3] + (1.0 if upper else -1.0) * self.to_world[:3, axis]
+
+    def pulled(
+        self, axis: int, upper: bool, eye_m: Float64[np.ndarray, "3"], sight: Float64[np.ndarray, "3"]
+    ) -> "CropBox":
+        """Pull one face to where its axis passes a line of sight closest; the opposite face stays, none passes it."""
+        direction = self.to_world[:3, axis] / (self.size_m[axis] / 2) * (1.0 if upper else -1.0)
+        face = self.face_m(axis, upper)
+        across = sight - (sight @ direction) * direction
+        if across @ across < 1e-6:  # seen end-on
+            return self
+        # The point of the axis that is nearest to the sight, counted from the face along `direction`.
+        by_m = float((eye_m - face) @ (direction - (sight @ direction) / (across @ across) * across))
+        by_m = max(by_m, _THINNEST_M - self.size_m[axis])
+        size = list(self.size_m)
+        size[axis] += by_m
+        x, y, z = (self.to_world[:3, 3] + 0.5 * by_m * direction).tolist()
+        return CropBox((x, y, z), (size[0], size[1], size[2]), self.yaw_deg)
+
+
+_THINNEST_M = 0.01
+
+
+def box_around(scene: Scene) -> CropBox:
+    """Box around most of what stands still and can be seen, sky apart; of an empty scene 10 m around the origin."""
+    layers = [each for each in scene.layers if each.visible and each.kind == "background" and len(each.gaussians)]
+    if not layers:
+        return CropBox((0.0, 0.0, 0.0), (10.0, 10.0, 10.0))
+    corners: list[Float64[np.ndarray, "8 3"]] = []
+    for layer in layers:
+        low, high = robust_bounds(layer.gaussians)
+        middle, half = (low + high) / 2, np.maximum((high - low) / 2, 1e-9)
+        to_world = scene.scene_to_world @ layer.to_scene
+        unit = CropBox((0.0, 0.0, 0.0), (2.0, 2.0, 2.0)).corners_m
+        corners.append((unit * half + middle) @ to_world[:3, :3].T + to_world[:3, 3])
+    every = np.concatenate(corners)
+    low, high = every.min(axis=0), every.max(axis=0)
+    x, y, z = ((low + high) / 2).tolist()
+    a, b, c = np.maximum(high - low, _THINNEST_M).tolist()
+    return CropBox((x, y, z), (a, b, c))
+
+
+def crop(scene: Scene, box: CropBox) -> Scene:
+    """Mark as deleted what lies outside of a box with its centre; of background layers that may be edited."""
+
+    def cropped(member: Layer | Actor) -> Layer | Actor:
+        if isinstance(member, Actor) or member.kind != "background":
+            return member
+        outside = Mask.of(~_inside(member.gaussians.means, scene.scene_to_world @ member.to_scene, box))
+        marks = member.marks
+        if not (outside if marks.deleted is None else outside - marks.deleted):
+            return member
+        deleted = outside if marks.deleted is None else marks.deleted | outside
+        selected = marks.selected - outside if marks.selected is not None else None
+        return replace(member, marks=Marks(selected if selected else None, marks.hidden, deleted))
+
+    return edited(scene, cropped)
+
+
+def _inside(
+    means: Float32[np.ndarray, "n 3"], to_world: Float64[np.ndarray, "4 4"], box: CropBox
+) -> Bool[np.ndarray, " n"]:
+    to_box = np.linalg.inv(box.to_world) @ to_world
+    inside = np.ones(len(means), np.bool_)
+    for row in to_box[:3]:
+        inside &= np.abs(means @ row[:3] + row[3]) <= 1
+    return inside

@@ -1,0 +1,146 @@
+"""Moves by a similarity of the world: a whole member, or what is selected. `moving` shows one while it is dragged."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.marks import Marks
+from gsrain_engine.scene.mask import Mask, union
+from gsrain_engine.scene.members import Actor, Layer
+from gsrain_engine.scene.rotations import quaternion_product, quaternions_from_matrices
+from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.spherical_harmonics import rotate_sh
+
+from .actors import moved_actor
+from .members import edited, is_editable, unlocked
+
+Similarity = Float64[np.ndarray, "4 4"]
+
+
+def move_member(scene: Scene, key: str, delta: Similarity) -> Scene:
+    """Move a layer, or an actor with its whole track, by a similarity of the world (metres, z up).
+
+    Raises `ValueError` where there is no such member or it is locked.
+    """
+    member, way = unlocked(scene, key), _in_scene(scene, delta)
+    if isinstance(member, Layer):
+        return scene.with_member(key, to_scene=way @ member.to_scene)
+    there = moved_actor(member, way)
+    return scene.with_member(key, track=there.track, gaussians=there.gaussians, size_lwh=there.size_lwh)
+
+
+def move_selected(scene: Scene, delta: Similarity, time_s: float = 0.0) -> Scene:
+    """Move the selected Gaussians by a similarity of the world; those of actors as they stand at a time.
+
+    Only arrays that change are made anew: a shift leaves scales, quaternions and harmonics the very same.
+    """
+    way = _in_scene(scene, delta)
+
+    def placed(member: Layer | Actor) -> Layer | Actor:
+        to_scene = member.way(time_s)
+        if to_scene is None or not member.marks.selected:
+            return member
+        own = np.linalg.inv(to_scene) @ way @ to_scene
+        return replace(member, gaussians=_partly_moved(member.gaussians, member.marks.selected, own))
+
+    return edited(scene, placed)
+
+
+def moving(scene: Scene, key: str | None, delta: Similarity, time_s: float = 0.0) -> Scene:
+    """What a scene looks like while a member, or with None what is selected, is dragged by a similarity of the world.
+
+    It shares all arrays with the scene, so it is made at once for any number of Gaussians: it is for the picture, and
+    what is dragged stands in a layer of its own.
+    """
+    if key is not None:
+        return move_member(scene, key, delta)
+    way, dragged = _in_scene(scene, delta), list[Layer]()
+    for member in scene.members:
+        to_scene = member.way(time_s)
+        if to_scene is not None and is_editable(member) and member.marks.selected:
+            dragged.append(_dragged(member, way @ to_scene))
+    at_rest = edited(scene, _without_selection)
+    return replace(at_rest, layers=(*at_rest.layers, *dragged))
+
+
+def pivot(scene: Scene, key: str | None, time_s: float = 0.0) -> Float64[np.ndarray, "3"] | None:
+    """Where a member, or with None what is selected, is taken hold of: the middle of its centres, in the world.
+
+    None where there is nothing to take hold of. The middle is the median along each axis, which strays can't pull.
+    """
+    places: list[Float64[np.ndarray, "n 3"]] = []
+    for member in scene.members:
+        to_scene = member.way(time_s)
+        wanted = member.key == key if key is not None else is_editable(member) and bool(member.marks.selected)
+        if to_scene is None or not wanted or not len(member.gaussians):
+            continue
+        if isinstance(member, Actor) and key is not None:
+            return (scene.scene_to_world @ to_scene)[:3, 3]
+        to_world = scene.scene_to_world @ to_scene
+        middle = _middle(member.gaussians, None if key is not None else member.marks.selected)
+        places.append((to_world[:3, :3] @ middle + to_world[:3, 3])[None])
+    return np.concatenate(places).mean(axis=0) if places else None
+
+
+_MIDDLE_SAMPLES = 100_000
+
+
+@lru_cache(maxsize=32)
+def _middle(gaussians: Gaussians, selected: Mask | None) -> Float64[np.ndarray, "3"]:
+    means = gaussians.means if selected is None else gaussians.means[selected.indices]
+    return np.median(means[:: -(-len(means) // _MIDDLE_SAMPLES) or 1], axis=0).astype(np.float64)
+
+
+def _in_scene(scene: Scene, delta: Similarity) -> Similarity:
+    """A similarity of the world as one of the scene's units and axes."""
+    return np.linalg.inv(scene.scene_to_world) @ delta @ scene.scene_to_world
+
+
+def _partly_moved(gaussians: Gaussians, selected: Mask, similarity: Similarity) -> Gaussians:
+    where = selected.indices
+    scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+    means, scales, quaternions, sh = gaussians.means.copy(), gaussians.scales, gaussians.quaternions, gaussians.sh
+    means[where] = means[where].astype(np.float64) @ similarity[:3, :3].T + similarity[:3, 3]
+    if abs(scale - 1) > 1e-9:
+        scales = scales.copy()
+        scales[where] *= np.float32(scale)
+    if not np.allclose(similarity[:3, :3], scale * np.eye(3), rtol=0, atol=1e-9 * scale):
+        rotation = similarity[:3, :3] / scale
+        turn = np.broadcast_to(quaternions_from_matrices(rotation), (len(where), 4))
+        quaternions = quaternions.copy()
+        quaternions[where] = quaternion_product(turn, quaternions[where].astype(np.float64))
+        if gaussians.sh_degree:
+            sh = sh.copy()
+            sh[where] = rotate_sh(sh[where], rotation)
+    return Gaussians(means, scales, quaternions, gaussians.opacities, sh)
+
+
+def _without_selection(member: Layer | Actor) -> Layer | Actor:
+    marks = member.marks
+    if not marks.selected:
+        return member
+    hidden = marks.selected if marks.hidden is None else union(marks.hidden, marks.selected)
+    return replace(member, marks=Marks(marks.selected, hidden, marks.deleted))
+
+
+def _dragged(member: Layer | Actor, to_scene: Similarity) -> Layer:
+    marks = member.marks
+    assert marks.selected is not None
+    others = _complement(marks.selected)
+    return Layer(
+        f"{member.key} dragged",
+        member.gaussians,
+        member.kind if isinstance(member, Layer) else "background",
+        to_scene,
+        opacity=member.opacity,
+        grading=member.grading,
+        marks=Marks(marks.selected, others if marks.hidden is None else union(marks.hidden, others), marks.deleted),
+    )
+
+
+@lru_cache(maxsize=64)
+def _complement(mask: Mask) -> Mask:
+    return ~mask  # the very same value each time: renderers know arrays by their identity

@@ -1,0 +1,40 @@
+"""Reading the scene that becomes a session's document."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from gsrain_engine.scene.formats.known_files import KnownFiles
+from gsrain_engine.scene.scene import Scene
+
+from .autosave import Autosaved
+from .disk_stamp import DiskStamp, stamp_of
+from .open_scene import is_built_in, open_to_draw, scene_folder_of
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """A scene that was read, and what is known about where it came from."""
+
+    scene: Scene
+    source: str
+    home: Path | None
+    stamp: DiskStamp | None
+    known: KnownFiles
+    recovered: Autosaved | None = None
+
+
+def read_opened(path: str) -> Opened:
+    """Read what a person names, as `open_to_draw` does, and raise what that raises."""
+    known = KnownFiles()
+    home = scene_folder_of(Path(path)) if not is_built_in(path) else None
+    stamp = stamp_of(home) if home is not None else None  # before reading: a change meanwhile is noticed
+    source = path if is_built_in(path) else str(home or Path(path).absolute())
+    return Opened(open_to_draw(path, known), source, home, stamp, known)
+
+
+def read_kept(autosaved: Autosaved) -> Opened:
+    """Read what an autosave has kept; raises what `open_to_draw` raises."""
+    known, about = KnownFiles(), autosaved.about
+    scene = open_to_draw(str(autosaved.scene), known)
+    home = Path(about.home) if about.home is not None else None
+    return Opened(scene, str(home or ""), home, about.stamp, known, autosaved)

@@ -1,0 +1,106 @@
+"""What a person does with the selection, each as one step of the history with a name that tells what happened."""
+
+from typing import TYPE_CHECKING
+
+from gsrain_engine.scene.scene import Scene
+
+from .candidates import Found
+from .combine import Mode, all_selected, combined, inverted, none_selected, selected_count, selections
+from .neighbourhood import grown, rim
+from .saved_sets import found_in_set, free_name, removed, renamed, saved
+
+if TYPE_CHECKING:
+    from ..session import Session
+
+
+def select(session: "Session", found: Found, mode: Mode, by: str) -> None:
+    """Take in what a tool has found; no step where that changes nothing. `by` ends the step's name."""
+    before, after = session.scene, combined(session.scene, found, mode)
+    if after is before:
+        return
+    now, then = selected_count(after), selected_count(before)
+    named = {
+        "set": f"Select {now:,} by {by}" if now else f"Select none by {by}",
+        "add": f"Add {now - then:,} by {by}",
+        "remove": f"Remove {then - now:,} by {by}",
+        "intersect": f"Keep {now:,} by {by}",
+    }
+    session.set_scene(named[mode], after)
+
+
+def select_all(session: "Session") -> None:
+    """Select everything that is shown."""
+    scene = all_selected(session.scene)
+    _go_to(session, f"Select all {selected_count(scene):,}", scene)
+
+
+def select_none(session: "Session") -> None:
+    """Select nothing."""
+    _go_to(session, "Select none", none_selected(session.scene))
+
+
+def invert(session: "Session") -> None:
+    """Select what was not selected."""
+    scene = inverted(session.scene)
+    _go_to(session, f"Invert selection to {selected_count(scene):,}", scene)
+
+
+def grow(session: "Session", distance_m: float) -> None:
+    """Take in what is at most so far from what is selected."""
+    found = grown(session.scene, session.clock.time_s, distance_m)
+    scene = combined(session.scene, found, "add")
+    _go_to(session, f"Grow selection by {distance_m:.3g} m to {selected_count(scene):,}", scene)
+
+
+def shrink(session: "Session", distance_m: float) -> None:
+    """Let go of what is at most so far from what is not selected."""
+    found = rim(session.scene, session.clock.time_s, distance_m)
+    scene = combined(session.scene, found, "remove")
+    _go_to(session, f"Shrink selection by {distance_m:.3g} m to {selected_count(scene):,}", scene)
+
+
+def save_set(session: "Session", name: str | None = None) -> bool:
+    """Keep what is selected under a name (None: one that is free).
+
+    What is wrong with that is told as `problem`, and False returned.
+    """
+    name = free_name(session.scene) if name is None else name
+    try:
+        scene = saved(session.scene, name)
+    except ValueError as error:
+        session.problem = f"The selection set is not saved: {error}"
+        return False
+    session.set_scene(f"Save set {name.strip()}", scene)
+    return True
+
+
+def recall_set(session: "Session", name: str, mode: Mode) -> None:
+    """Select the Gaussians of a set."""
+    select(session, found_in_set(session.scene, name), mode, f"set {name}")
+
+
+def rename_set(session: "Session", name: str, other: str) -> bool:
+    """Call a set otherwise; what is wrong with that is told as `problem`, and False returned."""
+    try:
+        scene = renamed(session.scene, name, other)
+    except ValueError as error:
+        session.problem = f"The selection set keeps its name: {error}"
+        return False
+    if other.strip() != name:
+        session.set_scene(f"Rename set {name} to {other.strip()}", scene)
+    return True
+
+
+def remove_set(session: "Session", name: str) -> None:
+    """Forget a set."""
+    session.set_scene(f"Delete set {name}", removed(session.scene, name))
+
+
+def has_selection(session: "Session") -> bool:
+    """Whether anything is selected that edits take in."""
+    return bool(selections(session.scene))
+
+
+def _go_to(session: "Session", label: str, scene: Scene) -> None:
+    if scene is not session.scene:
+        session.set_scene(label, scene)

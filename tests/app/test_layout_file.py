@@ -1,0 +1,47 @@
+"""The window's layout file: one a window while it is open, whole and shared afterwards."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from app.layout_file import own_layout
+from gsrain_engine.session.places import config_folder, state_folder
+
+
+@pytest.fixture(autouse=True)
+def own_folders(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+
+
+def test_the_next_window_gets_what_the_last_one_has_left():
+    with own_layout() as layout:
+        assert not layout.exists()
+        layout.write_text("first")
+    assert (config_folder() / "window.ini").read_text() == "first"
+    with own_layout() as layout:
+        assert layout.read_text() == "first"
+        layout.write_text("second")
+        assert (config_folder() / "window.ini").read_text() == "first"
+    assert (config_folder() / "window.ini").read_text() == "second"
+    assert not layout.exists()
+
+
+def test_what_killed_windows_have_left_is_removed_and_what_living_ones_use_is_not():
+    process = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
+    dead = state_folder() / "layouts" / f"{int(process.stdout)}.ini"
+    alive = dead.with_name(f"{os.getppid()}.ini")
+    dead.parent.mkdir(parents=True)
+    dead.write_text("old")
+    alive.write_text("in use")
+    with own_layout():
+        assert not dead.exists()
+        assert alive.read_text() == "in use"
+
+
+def test_a_disk_that_refuses_costs_only_the_layout(tmp_path):
+    (tmp_path / "state").write_text("a file where the folder should be")
+    with own_layout() as layout:
+        assert not layout.exists()

@@ -1,0 +1,158 @@
+"""Marks, opacity and colours of a part on the processor: as if the Gaussians themselves were so."""
+
+import re
+from importlib import resources
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from gsrain_engine.raster import projection, tint
+from gsrain_engine.raster.cpu_renderer import CpuRenderer
+from gsrain_engine.raster.projection import FEW, project
+from gsrain_engine.raster.rasterizer import rasterize
+from gsrain_engine.raster.reference import rasterize_slowly
+from gsrain_engine.raster.view_weights import view_weights
+from gsrain_engine.render.look import Look
+from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.grading import Grading, graded
+from gsrain_engine.scene.mask import Mask
+from gsrain_engine.scene.members import Part
+from gsrain_engine.session.cpu_picture import compile_kernels
+
+from .raster_scenes import random_gaussians, small_camera
+
+HERE = np.eye(4)
+COLORS = Grading(exposure_ev=0.7, temperature=0.3, contrast=1.3, saturation=0.4).matrix
+COUNTS = [300, FEW + 40]
+
+
+def part_of(count: int, seed: int = 1, **fields) -> Part:
+    return Part(random_gaussians(count, seed, 1), HERE, **fields)
+
+
+def some_of(count: int, share: float = 0.4, seed: int = 0) -> Mask:
+    return Mask.of(np.random.default_rng(seed).random(count) < share)
+
+
+def baked(part: Part) -> Part:
+    """The same picture without marks, opacity and colours of the part's own."""
+    g = part.gaussians.take(slice(0, part.drawn_count))
+    if part.left_out is not None:
+        g = g.take(np.flatnonzero(~part.left_out.flags[: part.drawn_count]))
+    scales, opacities = g.scales * np.float32(part.growth), g.opacities * np.float32(part.opacity)
+    sh = g.sh if part.colors is None else graded(g.sh, part.colors)
+    return Part(Gaussians(g.means, scales, g.quaternions, opacities, sh), part.to_world)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("read_only", [False, True])
+def test_what_is_left_out_leaves_no_trace(count, read_only):
+    mask = some_of(count)
+    mask.words.flags.writeable = not read_only
+    part, camera = part_of(count, left_out=mask), small_camera()
+    kept = rasterize([baked(part)], camera).rgba
+    assert rasterize([part], camera).rgba.tobytes() == kept.tobytes()
+    assert rasterize([part_of(count)], camera).rgba.tobytes() != kept.tobytes()
+    splats = project([part], camera)
+    assert not mask.flags[splats.indices].any()  # it takes no memory, either
+
+
+def test_marks_and_a_limit_work_together():
+    part, camera = part_of(500, left_out=some_of(500), limit=200, growth=1.5), small_camera()
+    assert rasterize([part], camera).rgba.tobytes() == rasterize([baked(part)], camera).rgba.tobytes()
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_opacity_is_that_of_the_gaussians(count):
+    camera = small_camera()
+    for opacity in (0.02, 0.5):  # at the lower one most fall below the cut
+        part = part_of(count, opacity=opacity)
+        assert rasterize([part], camera).rgba.tobytes() == rasterize([baked(part)], camera).rgba.tobytes()
+
+
+def test_colours_are_those_of_graded_harmonics():
+    part, camera = part_of(300, colors=COLORS), small_camera()
+    np.testing.assert_allclose(rasterize([part], camera).rgba, rasterize([baked(part)], camera).rgba, atol=2e-6)
+    assert np.abs(rasterize([part], camera).rgba - rasterize([part_of(300)], camera).rgba).max() > 0.1
+
+
+def test_the_readable_reference_agrees():
+    part = part_of(
+        80, left_out=some_of(80, 0.2), selected=some_of(80, 0.5, 1), opacity=0.7, colors=COLORS, limit=60, growth=1.2
+    )
+    slow, fast = rasterize_slowly([part], small_camera())[..., :4], rasterize([part], small_camera()).rgba
+    difference = np.abs(slow - fast).max(axis=-1)
+    assert np.median(difference) < 2e-5
+    assert (difference > 3e-4).mean() < 0.01
+
+
+@pytest.mark.parametrize("look", get_args(Look))
+def test_a_layer_of_no_opacity_shows_nothing_whatever_the_look(look):
+    renderer = CpuRenderer()
+    renderer.draw([part_of(300, opacity=0.0)], small_camera(), look=look)
+    assert not renderer.read().rgba.any()
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_the_tint_is_half_of_what_is_selected_and_nothing_else(count):
+    mask, camera = some_of(count), small_camera()
+    plain, marked = project([part_of(count)], camera), project([part_of(count, selected=mask)], camera)
+    chosen = mask.flags[plain.indices] & (plain.colors[:, 3] > 0)
+    assert 0 < chosen.sum() < len(chosen)
+    np.testing.assert_array_equal(marked.shapes, plain.shapes)
+    np.testing.assert_array_equal(marked.colors[~chosen], plain.colors[~chosen])
+    expected = 0.5 * plain.colors[chosen, :3] + 0.5 * np.array(tint.TINT, np.float32)
+    np.testing.assert_allclose(marked.colors[chosen, :3], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("look", ["normals", "opacity", "layers"])
+def test_other_looks_are_tinted_too(look):
+    pictures = []
+    for selected in (None, some_of(300)):
+        renderer = CpuRenderer()
+        renderer.draw([part_of(300, selected=selected)], small_camera(), look=look)
+        pictures.append(renderer.read().rgba)
+    assert np.abs(pictures[0] - pictures[1]).max() > 0.05
+
+
+def test_the_opacity_look_shows_the_layers_own_too():
+    renderer = CpuRenderer()
+    pictures = []
+    for each in (part_of(300, opacity=0.5), baked(part_of(300, opacity=0.5))):
+        renderer.draw([each], small_camera(), look="opacity")
+        pictures.append(renderer.read().rgba)
+    np.testing.assert_array_equal(*pictures)
+
+
+def test_what_is_left_out_has_no_weight_in_a_view():
+    mask, camera = some_of(300), small_camera()
+    seen = view_weights([part_of(300, left_out=mask, opacity=0.6)], camera)
+    rest = view_weights([baked(part_of(300, left_out=mask, opacity=0.6))], camera)
+    assert not mask.flags[seen.splats.indices].any()
+    np.testing.assert_array_equal(seen.squared_sums(), rest.squared_sums())
+
+
+def test_shader_and_kernels_have_the_same_tint():
+    text = resources.files("shaders").joinpath("common_tint.glsl").read_text(encoding="utf-8")
+    color = re.search(r"TINT = vec3\((.*)\)", text)
+    share = re.search(r"TINT_SHARE = ([\d.]+);", text)
+    assert color is not None
+    assert share is not None
+    assert tuple(map(float, color[1].split(","))) == tint.TINT
+    assert float(share[1]) == tint.TINT_SHARE
+
+
+def test_all_kernels_are_compiled_ahead():
+    compile_kernels()
+    kernels = [projection._find_candidates, projection._find_few_candidates, projection._project_part,
+               projection._project_few]  # fmt: skip
+    before = [len(each.signatures) for each in kernels]
+    assert all(before)
+    for count in COUNTS:
+        marks = {"left_out": some_of(count), "selected": some_of(count, 0.5, 1)}
+        marks["left_out"].words.flags.writeable = False
+        part = part_of(count, **marks, opacity=0.5, colors=COLORS, limit=count - 5, growth=1.2)
+        for each in (part, part._replace(opacity=1), part._replace(opacity=np.float64(0.5)), part_of(count)):
+            rasterize([each], small_camera())
+    assert [len(each.signatures) for each in kernels] == before

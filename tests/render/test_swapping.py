@@ -1,0 +1,235 @@
+"""Other Gaussians take a scene's place without holding up a frame: uploads in slices, the sky a picture at a time."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsrain_engine.rain.presets import load_preset
+from gsrain_engine.render.sky_color import sky_color
+from gsrain_engine.render.splat_renderer import SplatRenderer
+from gsrain_engine.render.thinning import Thinning
+from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.marks import Marks
+from gsrain_engine.scene.mask import Mask
+from gsrain_engine.scene.members import Part
+from gsrain_engine.session import live_view, sky_watch
+from gsrain_engine.session.live_view import LiveView
+from gsrain_engine.session.session import Session
+from gsrain_engine.session.sky_watch import SkyWatch
+from gsrain_engine.session.staged_scene import StagedScene
+from raster.raster_scenes import random_gaussians, small_camera
+from small_scene import small_scene
+
+SIZE = (96, 64)
+HERE = Camera.from_fov(96, 64, 50.0, look_at(np.array([0.0, 0, 1.5]), np.array([1.0, 0, 1.5]), np.array([0.0, 0, 1])))
+
+
+def darkened(scene):
+    """The scene with other colours: new arrays for every layer."""
+    for each in scene.members:
+        g = each.gaussians
+        scene = scene.with_member(each.key, gaussians=g.with_sh((g.sh - np.float32(0.5)).astype(np.float32)))
+    return scene
+
+
+def picture(view):
+    (texture,) = view.draw(*SIZE)
+    return np.frombuffer(texture.read(), np.uint8)
+
+
+@pytest.fixture
+def session():
+    opened = Session(small_scene())
+    opened.clock.playing = False
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def slow_view(context, session, monkeypatch):
+    """A live view that uploads one slice a frame."""
+    monkeypatch.setattr(live_view, "_AT_ONCE", 0)
+    monkeypatch.setattr(live_view, "_UPLOAD_S", 1e-9)
+    return LiveView(context, session, "opengl")
+
+
+def fresh(context, session):
+    return picture(LiveView(context, session, "opengl"))
+
+
+def test_the_last_scene_is_shown_until_the_new_one_is_there(context, session, slow_view):
+    before = picture(slow_view)
+    assert not slow_view.is_catching_up
+    session.set_scene("Darker", darkened(session.scene))
+    frames = 0
+    while slow_view.is_catching_up or not frames:
+        now = picture(slow_view)
+        frames += 1
+        if slow_view.is_catching_up:
+            assert np.array_equal(now, before)
+        assert frames < 100
+    assert frames > 2
+    after = fresh(context, session)
+    assert np.array_equal(now, after)
+    assert not np.array_equal(before, after)
+    session.undo()
+    assert np.array_equal(picture(slow_view), before)  # in the very next frame: its arrays are still there
+    assert not slow_view.is_catching_up
+
+
+def test_the_camera_goes_on_moving_meanwhile(session, slow_view):
+    before = picture(slow_view)
+    session.set_scene("Darker", darkened(session.scene))
+    session.navigation.turn(0.2, 0.0)
+    assert not np.array_equal(picture(slow_view), before)
+    assert slow_view.is_catching_up
+
+
+def test_a_screenshot_does_not_wait(context, session, slow_view, tmp_path):
+    picture(slow_view)
+    session.set_scene("Darker", darkened(session.scene))
+    session.screenshot = tmp_path / "now.png"
+    picture(slow_view)
+    saved = np.asarray(Image.open(tmp_path / "now.png"))
+    assert np.array_equal(saved, fresh(context, session).reshape(SIZE[1], SIZE[0], 4)[..., :3])
+
+
+def test_a_staged_scene_comes_when_all_of_it_is_uploaded(context, session, slow_view):
+    before, first = picture(slow_view), session.scene
+    session.stage(StagedScene("Darker", darkened(session.scene)))
+    frames = 0
+    while session.staged is not None:
+        assert session.scene is first
+        now = picture(slow_view)
+        assert np.array_equal(now, before) == (session.staged is not None)
+        frames += 1
+        assert frames < 100
+    assert frames > 2
+    assert np.array_equal(now, fresh(context, session))
+
+
+def test_a_scene_that_is_opened_lets_go_of_the_last_one(context, session):
+    view, first = LiveView(context, session, "opengl"), session.scene
+    picture(view)
+    session.stage(StagedScene("other", darkened(small_scene("other")), is_opened=True))
+    while session.staged is not None:
+        picture(view)
+    picture(view)
+    assert view._opengl.arrays.missing(first.layers[0].gaussians) > 0
+
+
+def test_giving_up_an_upload_keeps_what_is_shown(context):
+    renderer, g, other = SplatRenderer(context), random_gaussians(300, 1), random_gaussians(300, 2)
+    renderer.draw([Part(g, np.eye(4))], small_camera())
+    slices = renderer.upload(other, slice_size=100)
+    for _ in range(7):  # two arrays, and a third of the third
+        next(slices)
+    slices.close()
+    renderer.arrays.release_awaited()
+    assert renderer.arrays.missing(g) == 0
+    assert renderer.arrays.missing(other) == 300
+    assert len(list(renderer.upload(other, slice_size=100))) == 12
+
+
+class Counting(SplatRenderer):
+    """Remembers how much of each part it was asked to draw."""
+
+    def __init__(self, context):
+        super().__init__(context)
+        self.limits = []
+
+    def draw(self, parts, *arguments, **options):
+        self.limits.append({part.limit for part in parts})
+        super().draw(parts, *arguments, **options)
+
+
+@pytest.fixture
+def renderer(context):
+    return Counting(context)
+
+
+def test_the_first_look_at_the_sky_is_at_once_and_the_next_a_picture_a_frame(renderer):
+    watch, scene = SkyWatch(), small_scene()
+    first = watch.look(renderer, scene, HERE, resting=False)
+    assert first == sky_color(renderer, scene, HERE)
+    assert first.found
+    assert watch.look(renderer, scene, HERE, resting=True) is None
+    assert watch.is_through
+    assert watch.is_exact
+    renderer.limits.clear()
+    other = darkened(scene)
+    found, frames = None, 0
+    while found is None:
+        found = watch.look(renderer, other, HERE, resting=False)
+        frames += 1
+        assert len(renderer.limits) < frames  # none in the first, as it might be a drag
+        assert not watch.is_through
+    assert len(renderer.limits) == 8  # four views, each with the sky and without it
+    assert found == sky_color(renderer, other, HERE)
+    assert watch.look(renderer, other, HERE, resting=False) is None
+    assert watch.is_through
+
+
+def test_no_look_while_something_is_dragged_nor_when_only_the_selection_changes(renderer):
+    watch, scene = SkyWatch(), small_scene()
+    watch.look(renderer, scene, HERE, resting=False)
+    renderer.limits.clear()
+    g = scene.layers[0].gaussians
+    selected = scene.with_member("layers/road", marks=Marks(selected=Mask.all(len(g))))
+    assert watch.look(renderer, selected, HERE, resting=True) is None
+    assert watch.is_through
+    for step in range(5):
+        moved = np.eye(4)
+        moved[0, 3] = step + 1
+        watch.look(renderer, scene.with_member("layers/road", to_scene=moved), HERE, resting=False)
+    assert not renderer.limits
+    assert not watch.is_through
+
+
+def test_large_scenes_are_looked_at_in_part_first_and_in_full_at_rest(renderer, monkeypatch):
+    watch, scene = SkyWatch(), small_scene()
+    watch.look(renderer, scene, HERE, resting=False)
+    monkeypatch.setattr(sky_watch, "_QUICK", 500)
+    other, looks = darkened(scene), []
+    for resting in (False, True):
+        renderer.limits.clear()
+        for _ in range(20):
+            found = watch.look(renderer, other, HERE, resting=resting)
+            looks += [found] if found is not None else []
+        assert (renderer.limits[0] == {None}) == resting
+        assert watch.is_exact == resting
+    assert len(looks) == 2
+    assert looks[1] == sky_color(renderer, other, HERE)
+    np.testing.assert_allclose(looks[0].color, looks[1].color, atol=0.1)
+
+
+def test_a_screenshot_finds_the_exact_sky(context, session, monkeypatch, tmp_path):
+    monkeypatch.setattr(sky_watch, "_QUICK", 500)
+    session.set_rain("Rain", load_preset("8.5"))
+    view = LiveView(context, session, "opengl")
+    picture(view)
+    session.set_scene("Darker", darkened(session.scene))
+    session.navigation.turn(0.1, 0.0)
+    picture(view)
+    assert session.sky_is_stale
+    session.screenshot = tmp_path / "now.png"
+    picture(view)
+    assert not session.sky_is_stale
+    exact = sky_color(SplatRenderer(context), session.scene, session.shot(*SIZE).camera)
+    assert session.sky == pytest.approx(exact.color, abs=1e-6)
+
+
+def test_growth_is_worked_out_once_for_all_colours(monkeypatch):
+    calls = []
+    monkeypatch.setattr("gsrain_engine.render.thinning.growth_of", lambda g, share: calls.append(share) or 1.5)
+    g, thinning = random_gaussians(100), Thinning(0.25)
+    for sh in (g.sh, g.sh * np.float32(2)):
+        part = thinning(Part(g.with_sh(sh), np.eye(4)))
+        assert (part.limit, part.growth) == (25, 1.5)
+    assert calls == [0.25]
+    thinning.forget_all_but([g])
+    thinning.growth(g)
+    assert calls == [0.25]
+    thinning.forget_all_but([])
+    thinning.growth(g)
+    assert calls == [0.25, 0.25]

@@ -1,0 +1,105 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.mask import Mask
+from gsrain_engine.scene.members import Layer
+from gsrain_engine.scene.scene import Scene
+from gsrain_engine.session.edits.floaters import FloaterRules, FloaterSearch, select_floaters
+from gsrain_engine.session.floater_job import FloaterJob
+from gsrain_engine.session.session import Session
+
+OFF = FloaterRules(opacity_below=0, size_above_m=0, isolation_above=0)
+
+
+def cloud():
+    """A grid with four odd ones: faint (0), large (1), far away (2), not a number (3)."""
+    f = np.float32
+    grid = np.stack(np.meshgrid(*[np.arange(10.0)] * 3), axis=-1).reshape(-1, 3).astype(f)
+    grid[2], grid[3] = (100.0, 0, 0), (np.nan, 0, 0)
+    opacities, scales = np.full(1000, 0.9, f), np.full((1000, 3), 0.1, f)
+    opacities[0], scales[1, 2] = 0.01, 3.0
+    quaternions = np.tile(np.array([1, 0, 0, 0], f), (1000, 1))
+    return Gaussians(grid, scales, quaternions, opacities, np.zeros((1000, 1, 3), f))
+
+
+def scene():
+    return Scene("cloud", (Layer("cloud", cloud()), Layer("sky", cloud(), "sky")), metres_per_unit=0.5)
+
+
+def found(scene, rules):
+    search = FloaterSearch(scene, rules)
+    fractions = [progress.fraction for progress in search.run()]
+    assert fractions == sorted(fractions)
+    return {key: mask.indices.tolist() for key, (_, mask) in search.found.items()}
+
+
+@pytest.mark.parametrize(
+    ("rules", "floaters"),
+    [
+        ({}, []),
+        ({"opacity_below": 0.05}, [0]),
+        ({"size_above_m": 1.4}, [1]),  # 3 units are 1.5 m
+        ({"size_above_m": 1.6}, []),
+        ({"isolation_above": 8.0}, [2, 3]),
+        ({"opacity_below": 0.05, "size_above_m": 1.0, "isolation_above": 8.0}, [0, 1, 2, 3]),
+    ],
+)
+def test_each_rule_finds_its_own(rules, floaters):
+    given = FloaterRules(**({"opacity_below": 0, "size_above_m": 0, "isolation_above": 0} | rules))
+    assert found(scene(), given) == {"layers/cloud": floaters}
+
+
+def test_what_is_locked_hidden_or_deleted_is_no_floater():
+    rules = FloaterRules()
+    assert found(scene().with_member("layers/cloud", locked=True), rules) == {}
+    marks = replace(
+        scene().layers[0].marks, hidden=Mask.of(np.arange(1000) == 2), deleted=Mask.of(np.arange(1000) == 0)
+    )
+    assert found(scene().with_member("layers/cloud", marks=marks), rules) == {"layers/cloud": [3]}
+
+
+def test_few_and_equal_gaussians_do_not_trouble_the_search():
+    one = Scene("one", (Layer("one", cloud().take(np.arange(1))), Layer("none", Gaussians.empty())))
+    assert found(one, FloaterRules(opacity_below=0)) == {"layers/one": [], "layers/none": []}
+    stacked = Scene("stacked", (Layer("stacked", cloud().take(np.zeros(50, np.int64))),))
+    assert found(stacked, FloaterRules(opacity_below=0)) == {"layers/stacked": []}
+
+
+def test_a_layer_that_has_changed_since_is_passed_by():
+    before = scene()
+    search = FloaterSearch(before, FloaterRules())
+    list(search.run())
+    assert select_floaters(before, search.found).layers[0].marks.selected.size == 3
+    other = before.with_member("layers/cloud", gaussians=cloud())
+    assert select_floaters(other, search.found) is other
+
+
+def finished(job, session):
+    while job.state == "running":
+        job._running.result()
+        job.poll(session)
+    return job
+
+
+def test_the_job_selects_as_one_step():
+    session = Session(scene())
+    job = FloaterJob(session.scene, FloaterRules())
+    assert finished(job, session).found_count == 3
+    assert session.history.labels == ["Open", "Find floaters"]
+    assert session.scene.layers[0].marks.selected.indices.tolist() == [0, 2, 3]
+    session.undo()
+    assert session.scene.layers[0].marks.selected is None
+    session.close()
+
+
+def test_a_cancelled_job_changes_nothing():
+    session = Session(scene())
+    job = FloaterJob(session.scene, FloaterRules())
+    job.cancel()
+    job._running.result()
+    job.poll(session)
+    assert (job.state, job.found_count, session.history.labels) == ("cancelled", None, ["Open"])
+    session.close()

@@ -1,0 +1,135 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gsrain_engine.scene.flattening import moved
+from gsrain_engine.session.edits.actors import duration_of, retime_actor, start_of, turn_actor
+from gsrain_engine.session.edits.moving import move_member, move_selected, moving, pivot
+from gsrain_engine.session.edits.pose import Pose, layer_pose, pose_of, set_layer_pose
+
+from .edited_scene import assert_same, edited_scene, seen, turned, with_selection, without
+
+DELTAS = [turned(0, by=(1.0, -2.0, 0.5)), turned(50, 2, 1.0, (0.3, 0.1, 0.0)), turned(-35, 0, 1.7, (1.0, 0.0, 2.0))]
+
+
+@pytest.mark.parametrize("delta", DELTAS)
+@pytest.mark.parametrize("name", ["ground", "car"])
+def test_a_member_is_moved_in_the_world(delta, name):
+    scene = without(edited_scene(), *({"ground", "house", "sky", "car"} - {name}))
+    key = scene.members[0].key
+    for time_s in (0.0, 2.5):
+        before, after = scene.parts(time_s)[0], move_member(scene, key, delta).parts(time_s)[0]
+        expected = moved(moved(before.gaussians, before.to_world), delta)
+        assert_same(moved(after.gaussians, after.to_world), expected)
+
+
+def test_a_layer_moves_without_new_arrays_and_a_locked_one_not_at_all():
+    scene = edited_scene()
+    assert move_member(scene, "layers/ground", DELTAS[2]).layers[0].gaussians is scene.layers[0].gaussians
+    with pytest.raises(ValueError, match="ground is locked"):
+        move_member(scene.with_member("layers/ground", locked=True), "layers/ground", DELTAS[0])
+
+
+@pytest.mark.parametrize("delta", DELTAS)
+def test_what_is_selected_is_moved_and_nothing_else(delta):
+    scene = with_selection(edited_scene(), ground=6, car=5)
+    there = move_selected(scene, delta, 1.5)
+    for member, count in ((scene.layers[0], 6), (scene.actors[0], 5)):
+        before, after = scene.part(member, 1.5), there.part(there.member(member.key), 1.5)
+        first, rest = slice(0, count), slice(count, None)
+        expected = moved(moved(before.gaussians.take(first), before.to_world), delta)
+        assert_same(moved(after.gaussians.take(first), after.to_world), expected)
+        for name in ("means", "scales", "quaternions", "opacities", "sh"):
+            assert np.array_equal(getattr(after.gaussians, name)[rest], getattr(before.gaussians, name)[rest])
+    assert there.layers[1] is scene.layers[1]
+
+
+def test_a_shift_makes_new_centres_only():
+    scene = with_selection(edited_scene(), house=6)
+    before, after = scene.layers[1].gaussians, move_selected(scene, DELTAS[0]).layers[1].gaussians
+    shared = [name for name in ("means", "scales", "quaternions", "opacities", "sh")
+              if getattr(before, name) is getattr(after, name)]  # fmt: skip
+    assert shared == ["scales", "quaternions", "opacities", "sh"]
+
+
+@pytest.mark.parametrize("delta", DELTAS)
+def test_a_drag_looks_like_what_it_will_come_to(delta):
+    scene = with_selection(edited_scene(), ground=6, house=9, car=5)
+    assert_same(seen(moving(scene, None, delta, 1.5), 1.5), seen(move_selected(scene, delta, 1.5), 1.5))
+    assert_same(seen(moving(scene, "layers/sky", delta)), seen(move_member(scene, "layers/sky", delta)))
+
+
+def test_a_drag_shares_arrays_and_masks_from_frame_to_frame():
+    scene = with_selection(edited_scene(), ground=6)
+    first, second = (moving(scene, None, delta) for delta in DELTAS[:2])
+    for one, other in zip(first.layers, second.layers, strict=True):
+        assert one.gaussians is other.gaussians
+        assert one.marks.left_out is other.marks.left_out
+    assert first.layers[-1].gaussians is scene.layers[0].gaussians
+
+
+def test_things_are_taken_hold_of_in_their_middle():
+    scene = with_selection(edited_scene(), ground=6)
+    to_world = scene.part(scene.layers[0]).to_world
+    places = scene.layers[0].gaussians.means[:6] @ to_world[:3, :3].T + to_world[:3, 3]
+    assert np.all(np.abs(pivot(scene, None) - places.mean(axis=0)) < np.ptp(places, axis=0))
+    assert pivot(scene, "actors/car", 2.0) == pytest.approx(scene.part(scene.actors[0], 2.0).to_world[:3, 3])
+    assert pivot(edited_scene(), None) is None
+    assert pivot(scene, "layers/moon") is None
+
+
+ANGLE, METRES = st.floats(-179, 179), st.floats(-50, 50)
+
+
+@given(st.tuples(METRES, METRES, METRES), st.tuples(ANGLE, st.floats(-90, 90), ANGLE), st.floats(0.1, 10))
+def test_a_pose_is_what_its_numbers_say(position, turn, scale):
+    pose = Pose(position, turn, scale)
+    assert pose_of(pose.matrix).matrix == pytest.approx(pose.matrix, abs=1e-6)
+
+
+def test_turns_are_about_the_axes_of_the_world_one_after_the_other():
+    x, y, z = np.eye(3)
+    assert Pose((0, 0, 0), (90, 0, 0), 1).matrix[:3, :3] @ y == pytest.approx(z)
+    assert Pose((0, 0, 0), (90, 0, 90), 1).matrix[:3, :3] @ z == pytest.approx(x)  # z to -y to x
+
+
+def test_a_layer_is_placed_by_numbers():
+    scene = without(edited_scene(), "house", "sky", "car").with_member("layers/ground", to_scene=np.eye(4))
+    assert layer_pose(scene, "layers/ground") == Pose((0, 0, 0), (0, 0, 0), 1)
+    pose = Pose((1.0, -2.0, 3.0), (10.0, 20.0, -30.0), 2.0)
+    placed = set_layer_pose(scene, "layers/ground", pose)
+    assert placed.part(placed.layers[0]).to_world == pytest.approx(pose.matrix @ scene.part(scene.layers[0]).to_world)
+    again = layer_pose(placed, "layers/ground")
+    assert (again.position_m, again.turn_deg) == (pytest.approx(pose.position_m), pytest.approx(pose.turn_deg))
+    with pytest.raises(ValueError, match="above 0"):
+        set_layer_pose(scene, "layers/ground", replace(pose, scale=0.0))
+
+
+def test_an_actor_is_placed_where_the_numbers_say_at_that_moment():
+    scene = replace(edited_scene(), up=(0.0, 0.0, 1.0))
+    pose = layer_pose(scene, "actors/car", 2.0)
+    assert (pose.position_m, pose.scale) == (pytest.approx((1.0, 0.0, 0.0)), pytest.approx(1))
+    placed = set_layer_pose(scene, "actors/car", replace(pose, position_m=(5.0, 6.0, 0.0)), 2.0)
+    assert layer_pose(placed, "actors/car", 2.0).position_m == pytest.approx((5.0, 6.0, 0.0))
+    assert layer_pose(placed, "actors/car", 0.0).position_m == pytest.approx((4.0, 6.0, 0.0))
+    assert placed.actors[0].gaussians is scene.actors[0].gaussians
+
+
+def test_an_actor_turns_in_place():
+    scene = edited_scene()
+    pose = turn_actor(scene, "actors/car", 90.0).actors[0].way(2.0)
+    assert pose[:3, 3] == pytest.approx(scene.actors[0].way(2.0)[:3, 3])
+    assert pose[:3, 0] == pytest.approx([0, 1, 0])
+    with pytest.raises(ValueError, match="ground is a layer"):
+        turn_actor(scene, "layers/ground", 90.0)
+
+
+def test_an_actor_drives_at_other_times():
+    later = retime_actor(edited_scene(), "actors/car", 10.0, 2.0).actors[0]
+    assert (start_of(later), duration_of(later)) == (10.0, 2.0)
+    assert later.way(11.0)[:3, 3] == pytest.approx([2.0, 0, 0])  # half way
+    with pytest.raises(ValueError, match="longer than 0 s"):
+        retime_actor(edited_scene(), "actors/car", 0.0, 0.0)

@@ -1,0 +1,98 @@
+import colorsys
+
+import numpy as np
+import pytest
+
+from gsrain_engine.scene.marks import Marks
+from gsrain_engine.scene.mask import Mask
+from gsrain_engine.session.selection.attributes import ATTRIBUTES, in_range, layer_names, read_attribute, readings
+from gsrain_engine.session.selection.colors import base_colors
+from gsrain_engine.session.selection.combine import all_selected, combined
+from gsrain_engine.session.selection.histogram import BINS, AttributeHistogram
+
+from .selection_scenes import cloud, pixels_of, shot_at, world_means
+
+KEY = "layers/turned"
+
+
+@pytest.fixture
+def values():
+    scene, shot = cloud(), shot_at()
+    read = readings(scene, 0.0, shot.camera)[KEY]
+    return scene, shot, {name: read_attribute(name, read) for name in ATTRIBUTES}
+
+
+def test_places_and_sizes(values):
+    scene, shot, read = values
+    means = world_means(scene, KEY)
+    assert read["height"] == pytest.approx(means[:, 2], abs=1e-4)
+    assert read["distance"] == pytest.approx(np.linalg.norm(means - shot.camera.position, axis=1), rel=1e-4)
+    assert read["depth"] == pytest.approx(pixels_of(means, shot.camera)[:, 2], abs=1e-4)
+    scales = np.sort(scene.layers[1].gaussians.scales, axis=1)
+    assert read["size"] == pytest.approx(3.0 * scales[:, 2], rel=1e-5)  # 1.5 of the layer, 2 m a unit
+    assert read["elongation"] == pytest.approx(scales[:, 2] / scales[:, 1], rel=1e-5)
+    assert np.array_equal(read["opacity"], scene.layers[1].gaussians.opacities)
+    assert set(read["layer"]) == {2.0}
+    assert layer_names(scene) == {1: "plain", 2: "turned"}
+
+
+def test_colors_as_the_standard_library_has_them(values):
+    scene, _, read = values
+    colors = base_colors(scene.parts()[1]).astype(float)
+    expected = np.array([colorsys.rgb_to_hsv(*color) for color in colors])
+    turn = np.abs(read["hue"] - 360 * expected[:, 0])
+    assert np.minimum(turn, 360 - turn).max() < 0.05
+    assert read["saturation"] == pytest.approx(expected[:, 1], abs=1e-4)
+    assert read["value"] == pytest.approx(expected[:, 2], abs=1e-5)
+    assert np.stack([read["red"], read["green"], read["blue"]], 1) == pytest.approx(colors, abs=1e-6)
+
+
+def test_height_is_above_the_ground_where_that_is_known():
+    from dataclasses import replace
+
+    scene, camera = cloud(), shot_at().camera
+    raised = replace(scene, ground_m=1.5)
+    heights = [read_attribute("height", readings(each, 0.0, camera)[KEY]) for each in (scene, raised)]
+    assert heights[0] - heights[1] == pytest.approx(np.full(300, 1.5), abs=1e-5)
+
+
+@pytest.mark.parametrize("name", ATTRIBUTES)
+def test_a_range_takes_what_lies_in_it(values, name):
+    scene, shot, read = values
+    low, high = np.quantile(read[name], (0.2, 0.6)).tolist()
+    mask = in_range(scene, 0.0, shot.camera, name, low, high)[KEY]
+    assert np.array_equal(mask.flags, (read[name] >= low) & (read[name] <= high))
+    assert mask.size > 0
+
+
+@pytest.mark.parametrize("name", ATTRIBUTES)
+def test_histogram_counts_what_is_shown_and_what_is_selected(name):
+    shot = shot_at()
+    hidden = Mask.of(np.arange(300) < 40)
+    scene = all_selected(cloud()).with_member("layers/plain", marks=Marks(hidden=hidden))
+    histogram = AttributeHistogram().of(scene, shot, name)
+    assert histogram.shown.sum() == 560
+    assert histogram.selected.sum() == 300
+    low, high = float(histogram.edges[BINS // 4]), float(histogram.edges[BINS // 2])
+    found = in_range(scene, 0.0, shot.camera, name, low, high)
+    expected = found[KEY].size + (found["layers/plain"] - hidden).size
+    assert histogram.count_within(low, high) == pytest.approx(expected, abs=3)
+    everything = in_range(scene, 0.0, shot.camera, name, *histogram.opened(histogram.edges[0], histogram.edges[-1]))
+    assert everything[KEY].size == 300
+
+
+def test_histogram_is_made_again_only_when_something_changes():
+    scene, shot, histogram = cloud(), shot_at(), AttributeHistogram()
+    first = histogram.of(scene, shot, "opacity")
+    assert histogram.of(scene, shot_at((3.0, -9, 1)), "opacity") is first
+    depth = histogram.of(scene, shot, "depth")
+    assert histogram.of(scene, shot, "depth") is depth
+    assert not np.array_equal(histogram.of(scene, shot_at((3.0, -9, 1)), "depth").edges, depth.edges)
+    chosen = combined(scene, {KEY: Mask.of(np.arange(300) < 11)}, "set")
+    assert histogram.of(chosen, shot, "opacity").selected.sum() == 11
+
+
+def test_histogram_of_nothing():
+    histogram = AttributeHistogram().of(cloud(0), shot_at(), "size")
+    assert histogram.shown.sum() == 0
+    assert np.all(np.diff(histogram.edges) > 0)

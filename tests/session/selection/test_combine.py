@@ -1,0 +1,82 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsrain_engine.scene.marks import Marks
+from gsrain_engine.scene.mask import Mask
+from gsrain_engine.session.selection.combine import (
+    all_selected,
+    combined,
+    inverted,
+    none_selected,
+    selectable_count,
+    selected,
+    selected_count,
+)
+
+from .selection_scenes import cloud
+
+N = 50
+PUT_TOGETHER = {
+    "set": lambda now, found: found,
+    "add": lambda now, found: now | found,
+    "remove": lambda now, found: now & ~found,
+    "intersect": lambda now, found: now & found,
+}
+flags = st.lists(st.booleans(), min_size=N, max_size=N).map(np.array)
+
+
+def marked(key="layers/plain", **marks):
+    return cloud(N).with_member(key, marks=Marks(**{name: Mask.of(each) for name, each in marks.items()}))
+
+
+@settings(max_examples=30)
+@given(flags, flags, flags, flags, st.sampled_from(list(PUT_TOGETHER)))
+def test_modes_among_what_is_shown(now, found, hidden, deleted, mode):
+    scene = marked(selected=now, hidden=hidden, deleted=deleted)
+    after = combined(scene, {"layers/plain": Mask.of(found)}, mode)
+    shown_and_found = found & ~hidden & ~deleted
+    assert np.array_equal(selected(after.member("layers/plain")).flags, PUT_TOGETHER[mode](now, shown_and_found))
+    assert after.member("layers/plain").marks.hidden is scene.member("layers/plain").marks.hidden
+
+
+@pytest.mark.parametrize("fields", [{"locked": True}, {"visible": False}])
+def test_locked_and_hidden_members_are_passed_by(fields):
+    half = np.arange(N) < N // 2
+    scene = marked(selected=half).with_member("layers/plain", **fields)
+    assert selected_count(scene) == 0
+    assert selectable_count(scene) == N
+    for after in (all_selected(scene), none_selected(all_selected(scene)), inverted(scene)):
+        assert after.member("layers/plain") is scene.member("layers/plain")
+    assert selected_count(all_selected(scene)) == N
+
+
+def test_all_none_invert():
+    deleted = np.arange(N) < 10
+    scene = marked(deleted=deleted)
+    everything = all_selected(scene)
+    assert selected_count(everything) == 2 * N - 10 == selectable_count(scene)
+    assert not (selected(everything.layers[0]).flags & deleted).any()
+    assert selected_count(inverted(everything)) == 0
+    assert none_selected(everything).layers[0].marks.selected is None
+    half = combined(scene, {"layers/plain": Mask.of(np.arange(N) % 2 == 0)}, "set")
+    assert selected_count(inverted(half)) == selectable_count(scene) - selected_count(half)
+    twice = inverted(inverted(half))
+    assert all(selected(a).same_as(selected(b)) for a, b in zip(twice.layers, half.layers, strict=True))
+
+
+def test_what_changes_nothing_is_the_very_same_scene():
+    scene = all_selected(cloud(N))
+    assert all_selected(scene) is scene
+    assert combined(scene, {}, "remove") is scene
+    assert none_selected(cloud(N)).layers[0].marks.selected is None
+
+
+def test_set_lets_go_of_members_in_which_nothing_is_found():
+    scene = all_selected(cloud(N))
+    after = combined(scene, {"layers/turned": Mask.of(np.arange(N) < 3)}, "set")
+    assert selected_count(after) == 3
+    assert replace(after.layers[0]).marks.selected is None

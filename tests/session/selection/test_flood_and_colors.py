@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+
+from gsrain_engine.scene.gaussians import SH_C0
+from gsrain_engine.scene.grading import Grading
+from gsrain_engine.scene.members import Layer
+from gsrain_engine.scene.scene import Scene
+from gsrain_engine.session.selection.colors import alike, base_color, base_colors
+from gsrain_engine.session.selection.flood import _connected, flooded
+from small_scene import patch
+
+from .selection_scenes import cloud, two_walls
+
+
+def test_base_colors_are_graded_and_within_bounds():
+    scene = cloud()
+    part = scene.parts()[0]
+    assert base_colors(part) == pytest.approx(np.clip(SH_C0 * part.gaussians.sh[:, 0] + 0.5, 0, 1), abs=1e-6)
+    grey = scene.with_member("layers/plain", grading=Grading(saturation=0.0)).parts()[0]
+    assert np.ptp(base_colors(grey), axis=1).max() < 1e-5
+    assert np.array_equal(base_color(grey, 7), base_colors(grey)[7])
+
+
+def test_alike_means_each_channel():
+    scene = cloud()
+    color = base_color(scene.parts()[0], 5)
+    for key, mask in alike(scene, 0.0, color, 0.2).items():
+        difference = np.abs(base_colors(scene.part(scene.member(key))) - color).max(axis=1)
+        assert np.array_equal(mask.flags, difference <= np.float32(0.2))
+    assert alike(scene, 0.0, color, 0.0)["layers/plain"].indices.tolist() == [5]
+
+
+def test_alike_passes_locked_members_by():
+    scene = cloud().with_member("layers/turned", locked=True)
+    assert set(alike(scene, 0.0, base_color(scene.parts()[0], 0), 1.0)) == {"layers/plain"}
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**31), st.integers(1, 300), st.integers(1, 12))
+def test_cells_that_are_connected_as_a_graph_says(seed, count, extent):
+    cells = np.random.default_rng(seed).integers(-extent, extent + 1, (count, 3))
+    near = np.abs(cells[:, None] - cells[None]).max(axis=2) <= 1
+    _, labels = connected_components(csr_matrix(near), directed=False)
+    assert np.array_equal(_connected(cells, count // 2), labels == labels[count // 2])
+
+
+def three_patches():
+    """Two red patches 5 m apart, and a green one that touches the first."""
+    u, v = np.array([2.0, 0, 0]), np.array([0, 2.0, 0])
+    colors = {"red": (0.8, 0.1, 0.1), "far": (0.8, 0.1, 0.1), "green": (0.1, 0.8, 0.1)}
+    places = {"red": (0, 0, 0), "far": (7, 0, 0), "green": (-2.1, 0, 0)}
+    layers = tuple(Layer(name, patch(places[name], u, v, 12, color)) for name, color in colors.items())
+    return Scene("patches", layers)
+
+
+def test_flood_stops_at_gaps_and_other_colors():
+    scene = three_patches()
+
+    def counts(tolerance, reach):
+        found = flooded(scene, 0.0, "layers/red", 30, tolerance, reach)
+        return {key.split("/")[1]: mask.size for key, mask in found.items()}
+
+    assert counts(0.1, 2.0) == {"red": 144, "far": 0, "green": 0}
+    assert counts(1.0, 2.0) == {"red": 144, "far": 0, "green": 144}
+    assert counts(0.1, 40.0) == {"red": 144, "far": 144, "green": 0}
+
+
+def test_flood_from_the_only_one_of_its_color_is_that_one():
+    scene = two_walls(4)
+    odd = scene.layers[0].gaussians.sh.copy()
+    odd[3] = 1.7
+    scene = scene.with_member("layers/front", gaussians=scene.layers[0].gaussians.with_sh(odd))
+    found = flooded(scene, 0.0, "layers/front", 3, 0.05, 2.0)
+    assert found["layers/front"].indices.tolist() == [3]
+    assert found["layers/back"].size == 0

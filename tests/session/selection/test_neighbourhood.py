@@ -1,0 +1,64 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsrain_engine.scene.mask import Mask
+from gsrain_engine.session.selection.combine import combined, selected, selected_count
+from gsrain_engine.session.selection.neighbourhood import grown, rim
+
+from .selection_scenes import cloud, world_means
+
+N = 120
+
+
+def some(seed):
+    chosen = np.random.default_rng(seed).random((2, N)) < 0.1
+    return combined(cloud(N), dict(zip(("layers/plain", "layers/turned"), map(Mask.of, chosen), strict=True)), "set")
+
+
+def everything(scene):
+    points = np.concatenate([world_means(scene, member.key) for member in scene.members])
+    return points, np.concatenate([selected(member).flags for member in scene.members])
+
+
+def flags_of(found):
+    return np.concatenate([mask.flags for mask in found.values()])
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 1000), st.floats(0.05, 8))
+def test_both_as_all_distances_say(seed, distance_m):
+    scene = some(seed)
+    points, chosen = everything(scene)
+    distances = np.linalg.norm(points[:, None] - points[None], axis=2)
+    for found, from_, to in ((grown, chosen, ~chosen), (rim, ~chosen, chosen)):
+        nearest = np.where(from_, distances, np.inf).min(axis=1)
+        clear = np.abs(nearest - distance_m) > 1e-4
+        assert np.array_equal(flags_of(found(scene, 0.0, distance_m))[clear], ((nearest <= distance_m) & to)[clear])
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 1000), st.floats(0.1, 3))
+def test_what_has_grown_and_shrunk_holds_what_it_was(seed, distance_m):
+    before = some(seed)
+    larger = combined(before, grown(before, 0.0, distance_m), "add")
+    back = combined(larger, rim(larger, 0.0, distance_m), "remove")
+    _, was = everything(before)
+    _, now = everything(back)
+    assert now[was].all()
+    assert selected_count(larger) >= selected_count(back) >= selected_count(before)
+
+
+@pytest.mark.parametrize("found", [grown, rim])
+def test_nothing_grows_from_nothing(found):
+    assert not flags_of(found(cloud(N), 0.0, 5.0)).any()
+
+
+def test_locked_members_neither_grow_nor_hold():
+    scene = some(3)
+    locked = scene.with_member("layers/turned", locked=True)
+    assert set(grown(locked, 0.0, 50.0)) == {"layers/plain"}
+    after = combined(locked, grown(locked, 0.0, 50.0), "add")
+    assert selected(after.layers[0]).size == N
+    assert after.layers[1] is locked.layers[1]

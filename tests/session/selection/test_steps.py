@@ -1,0 +1,116 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gsrain_engine.scene.mask import Mask
+from gsrain_engine.session.selection import steps
+from gsrain_engine.session.selection.combine import selected, selected_count
+from gsrain_engine.session.selection.saved_sets import found_in_set, renamed, saved
+from gsrain_engine.session.session import Session
+
+from .selection_scenes import cloud
+
+KEY = "layers/plain"
+
+
+@pytest.fixture
+def session():
+    opened = Session(cloud())
+    yield opened
+    opened.close()
+
+
+def first(count):
+    return {KEY: Mask.of(np.arange(300) < count)}
+
+
+def test_names_of_steps_tell_what_happened(session):
+    steps.select(session, first(200), "set", "lasso")
+    steps.select(session, {KEY: Mask.of(np.arange(300) >= 150)}, "add", "brush")
+    steps.select(session, first(20), "remove", "box")
+    steps.select(session, first(100), "intersect", "sphere")
+    steps.select(session, {}, "set", "rectangle")
+    steps.select_all(session)
+    steps.invert(session)
+    assert session.history.labels[1:] == [
+        "Select 200 by lasso", "Add 100 by brush", "Remove 20 by box", "Keep 80 by sphere", "Select none by rectangle",
+        "Select all 600", "Invert selection to 0",
+    ]  # fmt: skip
+    session.go_to_step(4)
+    assert selected_count(session.scene) == 80
+
+
+def test_what_changes_nothing_is_no_step(session):
+    steps.select_none(session)
+    steps.select(session, {}, "set", "lasso")
+    steps.select(session, first(5), "remove", "lasso")
+    steps.grow(session, 1.0)
+    steps.shrink(session, 1.0)
+    assert session.history.labels == ["Open"]
+
+
+def test_growing_and_shrinking_are_steps(session):
+    steps.select(session, first(10), "set", "lasso")
+    steps.grow(session, 2.0)
+    grown = selected_count(session.scene)
+    assert grown > 10
+    assert session.history.undo_label == f"Grow selection by 2 m to {grown}"
+    steps.shrink(session, 1.0)
+    assert selected_count(session.scene) < grown
+
+
+def test_sets_are_saved_recalled_renamed_and_deleted_and_all_is_undone(session):
+    assert not steps.has_selection(session)
+    steps.select(session, first(30), "set", "lasso")
+    assert steps.save_set(session)
+    assert list(session.scene.selections) == ["selection 1"]
+    steps.select_none(session)
+    steps.recall_set(session, "selection 1", "add")
+    assert session.history.undo_label == "Add 30 by set selection 1"
+    assert steps.rename_set(session, "selection 1", " heads ")
+    assert list(session.scene.selections) == ["heads"]
+    steps.remove_set(session, "heads")
+    assert session.scene.selections == {}
+    assert selected_count(session.scene) == 30
+    while session.history.undo_label is not None:
+        session.undo()
+    assert session.scene.selections == {}
+    assert selected_count(session.scene) == 0
+
+
+def test_what_is_wrong_with_a_set_is_told_and_nothing_changes(session):
+    assert not steps.save_set(session, "a")
+    assert "nothing is selected" in session.problem
+    steps.select(session, first(3), "set", "lasso")
+    assert not steps.save_set(session, "  ")
+    assert "name" in session.problem
+    assert steps.save_set(session, "a") and steps.save_set(session, "b")
+    before = session.scene
+    assert not steps.rename_set(session, "a", "b")
+    assert "'b' already" in session.problem
+    assert session.scene is before
+
+
+def test_a_renamed_set_keeps_its_place_and_a_saved_one_replaces_its_namesake():
+    scene = cloud()
+    scene = scene.with_member(KEY, marks=replace(scene.layers[0].marks, selected=first(9)[KEY]))
+    scene = saved(saved(saved(scene, "a"), "b"), "c")
+    assert list(renamed(scene, "b", "x").selections) == ["a", "x", "c"]
+    assert list(saved(scene, "a").selections) == ["a", "b", "c"]
+
+
+def test_sets_pass_by_members_that_are_gone_or_other():
+    scene = cloud()
+    sets = {"old": {KEY: Mask.all(7), "layers/gone": Mask.all(300), "layers/turned": Mask.all(300)}}
+    scene = replace(scene, selections=sets)
+    assert set(found_in_set(scene, "old")) == {"layers/turned"}
+
+
+def test_hidden_gaussians_of_a_set_stay_as_they_are(session):
+    steps.select(session, first(30), "set", "lasso")
+    steps.save_set(session, "a")
+    marks = replace(session.scene.layers[0].marks, selected=None, hidden=first(10)[KEY])
+    session.set_scene("Hide", session.scene.with_member(KEY, marks=marks))
+    steps.recall_set(session, "a", "set")
+    assert selected(session.scene.layers[0]).indices.tolist() == list(range(10, 30))

@@ -1,0 +1,117 @@
+"""Weather in the session: keys, undo, saving, and what shows numbers."""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.weather import Weather, WeatherKey, passing_shower
+from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.session.session import Session
+from small_scene import small_scene
+
+
+@pytest.fixture
+def session():
+    session = Session(small_scene())
+    session.clock.playing = False
+    yield session
+    session.close()
+
+
+def keys(*pairs):
+    return Weather(keys=tuple(WeatherKey(time_s=time, intensity_mm_h=rate) for time, rate in pairs))
+
+
+def test_weather_is_part_of_the_document_and_is_undone(session):
+    session.set_weather("Shower", keys((0.0, 0.0), (10.0, 10.0)))
+    session.clock.time_s = 5.0
+    assert session.rain_now.intensity_mm_h == 5.0
+    assert session.rainfall.state_at(5.0).intensity_mm_h == 5.0
+    session.undo()
+    assert session.weather.keys == ()
+    assert session.rainfall.state_at(5.0).intensity_mm_h == 0.0
+    session.redo()
+    assert session.rain_now.intensity_mm_h == 5.0
+
+
+def test_a_change_of_a_keyed_field_is_a_key_at_the_present_time(session):
+    session.set_weather("Shower", keys((0.0, 0.0), (10.0, 10.0)))
+    session.clock.time_s = 4.0
+    session.change_rain("Intensity", "drag", intensity_mm_h=7.0)
+    session.clock.time_s = 4.5  # time goes on while the mouse is held
+    session.change_rain("Intensity", "drag", intensity_mm_h=8.0, haze=False)
+    session.end_gesture()
+    assert session.weather.times_of("intensity_mm_h") == [0.0, 4.0, 10.0]
+    assert session.weather.key_at(4.0).intensity_mm_h == 8.0
+    assert not session.rain.haze
+    session.change_rain("Intensity", "drag", intensity_mm_h=1.0)
+    assert session.weather.times_of("intensity_mm_h") == [0.0, 4.0, 4.5, 10.0]
+    session.undo()
+    session.undo()
+    assert session.weather.times_of("intensity_mm_h") == [0.0, 10.0]
+
+
+def test_drops_go_on_from_where_they_are_when_keys_change(session):
+    session.change_rain("Intensity", intensity_mm_h=3.0)
+    session.clock.time_s = 6.0
+
+    def displacement():
+        return session.rainfall.moment(6.0).motion.displacement(6.0)
+
+    before = displacement()
+    session.set_weather("Shower", keys((0.0, 0.0), (10.0, 10.0)))
+    assert np.allclose(displacement(), before, atol=1e-9)
+    session.set_weather("Wind", session.weather.with_key(2.0, wind_m_s=(5.0, 1.0)))
+    assert np.allclose(displacement(), before, atol=1e-9)
+    session.undo()
+    session.undo()
+    assert np.allclose(displacement(), before, atol=1e-9)
+
+
+def test_weather_is_saved_with_the_scene_and_comes_back(session, tmp_path):
+    shower = passing_shower(2.0)
+    session.set_weather("Shower", shower)
+    session.save(tmp_path / "wet")
+    settle(session)
+    other = Session()
+    other.open(str(tmp_path / "wet"))
+    settle(other)
+    other.swap_in()
+    other.close()
+    assert other.weather == shower
+    assert other.rain_now == shower.rain_at(other.rain, other.clock.time_s)
+
+
+def test_weather_that_cannot_be_used_is_logged_and_ignored(session, tmp_path):
+    bad = msgspec.to_builtins(passing_shower())
+    bad["keys"][1]["intensity_mm_h"] = 5000.0
+    write_scene(
+        replace(small_scene(), weather=bad, rain=msgspec.to_builtins(Rain(intensity_mm_h=2.0))), tmp_path / "bad"
+    )
+    session.open(str(tmp_path / "bad"))
+    settle(session)
+    session.swap_in()
+    assert session.weather.keys == ()
+    assert session.rain.intensity_mm_h == 2.0
+    assert any("weather can't be used" in line.text and "5000" in line.text for line in session.log.lines)
+
+
+def settle(session):
+    for future in session.pending_files:
+        future.result()
+    session.update(0.0)
+
+
+def test_before_and_after_each_have_their_weather(session):
+    session.set_weather("Shower", keys((0.0, 6.0), (10.0, 10.0)))
+    session.view.split = "before | after"
+    before, after = session.sides
+    assert before.rainfall.state_at(5.0).intensity_mm_h == 0.0
+    assert after.rainfall.state_at(5.0).intensity_mm_h == 8.0
+    session.view.split = "clear | rainy"
+    clear, rainy = session.sides
+    assert clear.rainfall.state_at(5.0).intensity_mm_h == 0.0
+    assert rainy.rainfall.state_at(5.0).intensity_mm_h == 8.0

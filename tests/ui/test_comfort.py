@@ -1,0 +1,149 @@
+"""Finding, doing and undoing things: menus, command palette, keyboard page, layers, history, notices."""
+
+import pytest
+
+from gsrain_engine.scene.scene import Scene
+from ui.actions import ACTIONS
+from ui.command_palette import matches
+from ui.menus import MENUS
+from ui.panels import PANELS
+from ui.shortcuts import chord, chord_name
+from ui.tools import TOOLS
+from window_driver import Driver, imgui
+
+_CTRL, _SHIFT = imgui.Key.mod_ctrl, imgui.Key.mod_shift
+
+
+@pytest.fixture
+def driver(tmp_path):
+    return Driver(tmp_path)
+
+
+def test_every_key_means_one_thing():
+    keys = [keys for action in ACTIONS for keys in action.chords]
+    keys += [int(tool.key) for tool in TOOLS if tool.key is not None]
+    keys += [int(key) for key in (imgui.Key.w, imgui.Key.a, imgui.Key.s, imgui.Key.d, imgui.Key.q, imgui.Key.e)]
+    assert sorted(keys) == sorted(set(keys)), [chord_name(each) for each in keys if keys.count(each) > 1]
+
+
+def test_names_are_unique_and_menus_known_and_all_explained():
+    names = [action.name for action in ACTIONS] + [tool.name for tool in TOOLS]
+    assert len(names) == len(set(names))
+    assert {action.menu for action in ACTIONS} <= {"", *MENUS}
+    assert [action.name for action in ACTIONS if not action.help] == []
+    assert len({panel.title for panel in PANELS}) == len(PANELS)
+
+
+def test_chords_read_as_people_write_them():
+    assert chord_name(chord(_CTRL, _SHIFT, imgui.Key.z)) == "Ctrl+Shift+Z"
+    assert chord_name(chord(imgui.Key.left_bracket)) == "["
+    assert matches("Show the selection", "sel sh")
+    assert not matches("Show the selection", "hide")
+
+
+def test_a_command_is_found_by_a_part_of_its_name(driver):
+    def script():
+        driver.click("//Rain/8.5")
+        driver.ctx.window_focus("//View")
+        driver.press(chord(_CTRL, imgui.Key.p))
+        driver.frames(3)
+        assert driver.session.view.dialog == "commands"
+        driver.ctx.key_chars("undo")
+        driver.frames(3)
+        driver.press(imgui.Key.enter)
+        driver.until(lambda: driver.session.rain.intensity_mm_h == 0)
+        driver.until(lambda: driver.session.view.dialog == "")
+        assert driver.session.history.redo_label == "Preset 8.5"
+
+    driver.run(script)
+
+
+def test_the_keyboard_page_opens_and_closes_and_holds_keys_back(driver):
+    def script():
+        driver.ctx.window_focus("//View")
+        driver.press(imgui.Key.f1)
+        driver.until(lambda: driver.session.view.dialog == "keys")
+        driver.press(imgui.Key.space)
+        assert not driver.session.clock.playing
+        driver.press(imgui.Key.escape)
+        driver.until(lambda: driver.session.view.dialog == "")
+        driver.press(imgui.Key.space)
+        assert driver.session.clock.playing
+        driver.session.clock.playing = False
+
+    driver.run(script)
+
+
+def test_layers_are_locked_copied_named_and_removed(driver):
+    def script():
+        session = driver.session
+        driver.click("//Layers/members/###lock layers road")
+        assert session.scene.layers[0].locked
+        driver.click("//Layers/members/###layers wall")
+        assert session.view.member == "layers/wall"
+        driver.click("//Layers/Duplicate")
+        assert [each.name for each in session.scene.layers] == ["road", "wall", "wall 2", "sky"]
+        assert session.scene.layers[2].gaussians is session.scene.layers[1].gaussians
+        driver.ctx.item_double_click("//Layers/members/###layers wall 2")
+        driver.frames(3)
+        driver.ctx.key_chars_replace_enter("fence")
+        driver.frames(3)
+        assert session.scene.layers[2].name == "fence"
+        assert session.view.member == "layers/fence"
+        driver.click("//Layers/Remove")
+        assert [each.name for each in session.scene.layers] == ["road", "wall", "sky"]
+        driver.press(chord(_CTRL, imgui.Key.z))
+        assert [each.name for each in session.scene.layers] == ["road", "wall", "fence", "sky"]
+
+    driver.run(script)
+
+
+def test_a_layer_fades_by_its_opacity_in_one_step(driver):
+    def script():
+        driver.click("//Layers/members/###layers wall")
+        before, steps = driver.picture(), len(driver.session.history.labels)
+        driver.drag("//Layers/##opacity", (-60, 0))
+        assert driver.session.scene.layers[1].opacity < 0.8
+        assert len(driver.session.history.labels) == steps + 1
+        assert abs(driver.picture() - before).max() > 10
+
+    driver.run(script)
+
+
+def test_any_step_of_the_history_can_be_gone_to(driver):
+    def script():
+        for name in ("1.2", "8.5", "12.0"):
+            driver.click(f"//Rain/{name}")
+        driver.click("//History/Preset 1.2##1")
+        assert driver.session.rain.intensity_mm_h == 1.2
+        driver.click("//History/Preset 12.0##3")
+        assert driver.session.rain.intensity_mm_h == 12
+        driver.click("//History/Open##0")
+        assert driver.session.rain.intensity_mm_h == 0
+
+    driver.run(script)
+
+
+def test_an_empty_window_offers_the_street(tmp_path):
+    driver = Driver(tmp_path, Scene("no scene"))
+
+    def script():
+        driver.ctx.set_ref("//View")
+        driver.ctx.item_click("//View/**/Open the built-in street")
+        driver.until(lambda: driver.session.scene.name == "street", 100_000)
+        assert driver.session.scene.gaussian_count > 300_000
+
+    driver.run(script)
+
+
+def test_a_problem_is_told_in_the_corner_until_it_is_closed(driver):
+    def script():
+        driver.session.problem = "The disk is full."
+        driver.frames(3)
+        driver.ctx.item_click("//View/**/Details")
+        driver.frames(2)
+        driver.ctx.item_click("//View/**/Close")
+        driver.frames(2)
+        assert driver.session.problem is None
+
+    driver.run(script)

@@ -1,0 +1,125 @@
+"""Saving, leaving and recovering in the real window, with what it asks on the way."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsrain_engine.scene.formats import read_scene, write_scene
+from gsrain_engine.scene.marks import Marks
+from gsrain_engine.scene.mask import Mask
+from gsrain_engine.session.session import Session
+from small_scene import small_scene
+from ui.shortcuts import chord
+from window_driver import Driver, imgui, testing
+
+CTRL, SHIFT = imgui.Key.mod_ctrl, imgui.Key.mod_shift
+
+
+@pytest.fixture(autouse=True)
+def own_folders(tmp_path_factory, monkeypatch):
+    for name in ("XDG_STATE_HOME", "XDG_CONFIG_HOME"):
+        monkeypatch.setenv(name, str(tmp_path_factory.mktemp(name)))
+
+
+@pytest.fixture
+def driver(tmp_path):
+    return Driver(tmp_path)
+
+
+def key(driver, *keys):
+    driver.ctx.window_focus("//View")
+    driver.press(chord(*keys))
+
+
+def test_saving_asks_for_a_place_once_and_a_star_tells_of_changes(driver, tmp_path):
+    home = tmp_path / "rainy"
+
+    def script():
+        workspace = driver.window.workspace
+        assert workspace.title == "GSRAIN: small"
+        driver.click("//Rain/8.5")
+        assert workspace.title == "GSRAIN: small *"
+        key(driver, CTRL, imgui.Key.s)
+        driver.ctx.item_click("//Save the scene/##file_input")
+        driver.ctx.key_chars_replace(str(home))
+        driver.ctx.item_click("//Save the scene/**/Save")
+        driver.until(lambda: workspace.title == "GSRAIN: small")
+        assert read_scene(home).rain["intensity_mm_h"] == 8.5
+        driver.click("//Rain/12.0")
+        key(driver, CTRL, imgui.Key.s)
+        driver.until(lambda: not driver.session.has_changes)
+        assert read_scene(home).rain["intensity_mm_h"] == 12.0
+
+    driver.run(script)
+
+
+def test_leaving_with_changes_asks_and_nothing_else_goes_on_meanwhile(driver):
+    def script():
+        session = driver.session
+        driver.click("//Rain/8.5")
+        key(driver, CTRL, imgui.Key.q)
+        driver.frames(3)
+        assert driver.ctx.item_exists("//Unsaved changes/Don't save")
+        driver.press(chord(CTRL, imgui.Key.z))  # keys do nothing while something is asked
+        assert session.rain.intensity_mm_h == 8.5
+        testing.capture(driver.ctx, str(driver.folder / "question.png"))
+        driver.press(imgui.Key.escape)
+        assert session.question is None and not session.is_leaving
+        driver.frames(3)
+        testing.capture(driver.ctx, str(driver.folder / "none.png"))
+        driver.window.ask_to_close()  # the cross of the window
+        driver.frames(3)
+        driver.ctx.item_click("//Unsaved changes/Cancel")
+        driver.frames(3)
+        assert session.question is None and not session.is_leaving
+        driver.press(chord(CTRL, imgui.Key.z))
+        assert not session.has_changes
+        driver.window.ask_to_close()
+        driver.frames(1000)  # the window is gone long before
+
+    with pytest.raises(RuntimeError, match="the app exited before the test finished"):
+        driver.run(script)
+    assert driver.session.is_leaving
+    shown, none = (np.asarray(Image.open(driver.folder / f"{each}.png"))[..., :3] for each in ("question", "none"))
+    assert np.abs(shown.astype(int) - none).mean() > 5
+
+
+def test_what_was_kept_is_recovered_and_a_change_on_the_disk_is_asked_about(tmp_path):
+    home = tmp_path / "crossing"
+    write_scene(small_scene("crossing"), home)
+    before = Driver(tmp_path)
+    died = before.session
+    died.files.home = home
+    member = died.scene.members[0]
+    marks = Marks(deleted=Mask.of(np.arange(len(member.gaussians)) < 100))
+    died.set_scene("Delete", died.scene.with_member(member.key, marks=marks))
+    died.files.recovery.enter(home, died.history.previous)
+    died.update(0.0)
+    late = died.files.recovery.now() + 20.0
+    died.files.recovery.now = lambda: late
+    died.update(0.0)
+    died.close()  # without an answer to what becomes of the changes
+    driver = Driver(tmp_path)
+    driver.session = Session()
+    driver.session.clock.playing = False
+    driver.session.open(str(home))
+
+    def script():
+        session = driver.session
+        driver.until(lambda: session.question is not None)
+        driver.frames(3)
+        driver.ctx.item_click("//Recover unsaved changes/Recover")
+        driver.until(lambda: session.has_changes and session.busy is None)
+        assert session.scene.layers[0].marks.deleted.size == 100
+        values = json.loads((home / "scene.json").read_text())
+        (home / "scene.json").write_text(json.dumps(values | {"name": "theirs"}))
+        key(driver, CTRL, imgui.Key.s)
+        driver.frames(3)
+        assert read_scene(home).name == "theirs"
+        driver.ctx.item_click("//Changed on disk/Overwrite")
+        driver.until(lambda: not session.has_changes)
+        assert read_scene(home).layers[0].marks.deleted.size == 100
+
+    driver.run(script)

@@ -1,0 +1,248 @@
+"""Weather, rain regions and the drop colour in the window, driven by hand."""
+
+import numpy as np
+import pytest
+from imgui_bundle import implot
+
+from gsrain_engine.rain.weather import Weather, WeatherKey
+from gsrain_engine.render.scene_view import rain_anchor
+from gsrain_engine.session.region_handles import face_handles
+from gsrain_engine.session.region_inset import inset_shot
+from ui import shower_plot
+from window_driver import Driver, imgui
+
+
+@pytest.fixture
+def driver(tmp_path):
+    return Driver(tmp_path)
+
+
+def hill():
+    keys = ((0.0, 0.0), (10.0, 8.0), (20.0, 0.0))
+    return Weather(keys=tuple(WeatherKey(time_s=at, intensity_mm_h=rate) for at, rate in keys))
+
+
+@pytest.fixture
+def pixel_of(monkeypatch):
+    """Where a place of the plot is on the screen, as it was drawn last."""
+    last = {}
+    drawn = shower_plot._clock
+
+    def spy(session):
+        drawn(session)
+        last["zero"], last["one"] = implot.plot_to_pixels(0.0, 0.0), implot.plot_to_pixels(1.0, 1.0)
+
+    monkeypatch.setattr(shower_plot, "_clock", spy)
+
+    def pixel(seconds, rate):
+        zero, one = last["zero"], last["one"]
+        return imgui.ImVec2(zero.x + seconds * (one.x - zero.x), zero.y + rate * (one.y - zero.y))
+
+    return pixel
+
+
+def at(driver, place, *, press=None):
+    driver.ctx.mouse_move_to_pos(place)
+    driver.frames()
+    if press is not None:
+        driver.ctx.mouse_click(press)
+        driver.frames()
+
+
+def test_keys_are_dragged_added_and_removed_in_the_plot(driver, pixel_of):
+    def script():
+        session = driver.session
+        session.set_weather("Hill", hill())
+        driver.ctx.window_focus("//Shower")
+        driver.frames(4)
+        at(driver, pixel_of(10.0, 8.0))
+        driver.ctx.mouse_down(0)
+        driver.frames()
+        for rate in (8.5, 9.5, 11.0):
+            driver.ctx.mouse_move_to_pos(pixel_of(11.0, rate))
+            driver.frames()
+        driver.ctx.mouse_up(0)
+        driver.frames()
+        moved = session.weather.keys[1]
+        assert (moved.time_s, moved.intensity_mm_h) == (pytest.approx(11.0, abs=0.3), pytest.approx(11.0, abs=0.3))
+        assert session.history.undo_label == "Move a key"
+        session.undo()
+        assert session.weather == hill()
+        at(driver, pixel_of(15.0, 7.0))
+        driver.ctx.mouse_double_click(0)
+        driver.frames(3)
+        assert len(session.weather.keys) == 4
+        added = session.weather.keys[2]
+        assert (added.time_s, added.intensity_mm_h) == (pytest.approx(15.0, abs=0.3), pytest.approx(7.0, abs=0.3))
+        at(driver, pixel_of(10.0, 8.0), press=1)
+        assert session.weather.times_of("intensity_mm_h") == [0.0, added.time_s, 20.0]
+
+    driver.run(script)
+
+
+def test_buttons_of_the_shower_panel(driver):
+    def script():
+        session = driver.session
+        session.change_rain("Intensity", intensity_mm_h=3.0)
+        session.clock.time_s = 4.0
+        driver.click("//Shower/###now")
+        assert session.weather.key_at(4.0).intensity_mm_h == 3.0
+        driver.click("//Shower/###now")
+        assert session.weather.keys == ()
+        driver.click("//Shower/A shower that passes")
+        assert session.weather.heaviest_mm_h(session.rain) == 12.0
+        session.clock.time_s = 34.0
+        driver.frames(3)
+        assert session.statistics["drops drawn"] > 0
+        driver.click("//Shower/linear")
+        assert session.weather.between == "linear"
+        driver.click("//Shower/Clear keys")
+        assert session.weather.keys == ()
+        for _ in range(3):
+            session.undo()
+        assert session.weather.keys == ()
+        assert session.rain.intensity_mm_h == 3.0
+
+    driver.run(script)
+
+
+def test_sliders_of_keyed_fields_set_keys_and_one_drag_is_one_step(driver):
+    def script():
+        session = driver.session
+        driver.click("//Rain/1.2")
+        driver.click("//Rain/###key intensity_mm_h")
+        assert session.weather.key_at(0.0).intensity_mm_h == 1.2
+        session.clock.time_s = 6.0
+        steps = session.history.cursor
+        driver.drag("//Rain/##intensity_mm_h", (60, 0))
+        assert session.history.cursor == steps + 1
+        assert session.weather.times_of("intensity_mm_h") == [0.0, 6.0]
+        assert session.weather.key_at(6.0).intensity_mm_h > 3
+        assert session.rain_now.intensity_mm_h == session.weather.key_at(6.0).intensity_mm_h
+        driver.click("//Rain/8.5")
+        assert session.weather.key_at(6.0).intensity_mm_h == 8.5
+        driver.click("//Rain/###key exposure_s")
+        assert session.weather.key_at(6.0).exposure_s == 0.004
+        driver.click("//Rain/###key intensity_mm_h")
+        assert session.weather.times_of("intensity_mm_h") == [0.0]
+
+    driver.run(script)
+
+
+def test_a_key_is_typed_in_the_table(driver):
+    def script():
+        session = driver.session
+        session.set_weather("Hill", hill())
+        driver.ctx.window_focus("//Shower")
+        driver.frames(3)
+        driver.ctx.item_input_value("//Shower/**/##intensity_mm_h 1", 5.25)
+        driver.frames(3)
+        assert session.weather.key_at(10.0).intensity_mm_h == 5.25
+        driver.ctx.item_input_value("//Shower/**/##time 1", 12.5)
+        driver.frames(3)
+        assert session.weather.times_of("intensity_mm_h") == [0.0, 12.5, 20.0]
+        driver.ctx.item_click("//Shower/**/###remove 0")
+        driver.frames(3)
+        assert session.weather.times_of("intensity_mm_h") == [12.5, 20.0]
+
+    driver.run(script)
+
+
+def test_a_disdrometers_series_is_imported(driver, test_data):
+    def script():
+        session = driver.session
+        session.lab.read_series(test_data / "disdrometer" / "nasa_gv_iphex_2dvd_test.txt")
+        driver.until(lambda: session.lab.busy is None, 100_000)
+        assert session.lab.problem is None
+        driver.ctx.window_focus("//Shower")
+        driver.frames(3)
+        driver.ctx.item_input_value("//Shower/times faster", 60.0)
+        driver.click("//Shower/Use it")
+        assert session.lab.series is None
+        assert len(session.weather.keys) > 1
+        assert session.weather.keys[0].time_s == 0.0
+        assert session.history.undo_label.startswith("Series nasa_gv")
+        session.undo()
+        assert session.weather.keys == ()
+
+    driver.run(script)
+
+
+def view_corner(driver):
+    driver.ctx.window_focus("//View")
+    driver.frames(3)
+    info = driver.ctx.item_info("//View/view")
+    return info.rect_full.min, info.rect_full.get_width(), info.rect_full.get_height()
+
+
+def test_a_face_of_the_region_is_dragged_from_outside(driver):
+    """The upper face in the inset: the region gets higher, the floor stays, and it is one step."""
+
+    def script():
+        session = driver.session
+        session.view.tool = "Rain regions"
+        driver.frames(4)
+        corner, width, height = view_corner(driver)
+        em = font_size()
+        wide, high = int(min(15 * em, 0.5 * width)), int(min(11 * em, 0.5 * height))
+        shot = session.shot(int(width), int(height))
+        anchor = rain_anchor(session.scene, session.rainfall, shot)
+        box = session.rain.streak_region
+        camera = inset_shot(box, anchor, wide, high).camera
+        (top,) = [each for each in face_handles(box, anchor, camera, inset=0.0) if each.face == (2, True)]
+        x, y, z = camera.world_to_camera[:3, :3] @ top.point_m + camera.world_to_camera[:3, 3]
+        at_x = corner.x + width - wide - 0.6 * em + camera.fx * x / z + camera.cx
+        at_y = corner.y + height - high - 0.6 * em + camera.fy * y / z + camera.cy
+        driver.ctx.mouse_move_to_pos(imgui.ImVec2(at_x, at_y))
+        driver.frames()
+        driver.ctx.mouse_down(0)
+        driver.frames()
+        steps = session.history.cursor
+        for up in (4, 8, 12):
+            driver.ctx.mouse_move_to_pos(imgui.ImVec2(at_x, at_y - up))
+            driver.frames()
+        driver.ctx.mouse_up(0)
+        driver.frames()
+        changed = session.rain.streak_region
+        assert changed.maximum_m[2] > box.maximum_m[2] + 0.3
+        assert (changed.minimum_m, changed.maximum_m[:2]) == (box.minimum_m, box.maximum_m[:2])
+        assert session.history.cursor == steps + 1
+        session.undo()
+        assert session.rain.streak_region == box
+
+    driver.run(script)
+
+
+def font_size():
+    return imgui.get_style().font_size_base * imgui.get_style().font_scale_main * imgui.get_style().font_scale_dpi
+
+
+def test_the_drop_colour_is_picked_from_the_view(driver):
+    """A pixel of the wall, which is reddish, then a rectangle of the sky; back to the scene's sky."""
+
+    def script():
+        session = driver.session
+        session.change_rain("Intensity", intensity_mm_h=8.5)
+        driver.frames(3)
+        driver.click("//Rain/###pick sky")
+        corner, width, height = view_corner(driver)
+        shown = driver.picture()
+        reddish = shown[..., 0] - shown[..., 2]
+        row, column = np.unravel_index(np.argmax(reddish), reddish.shape)
+        at(driver, imgui.ImVec2(corner.x + column + 0.5, corner.y + row + 0.5), press=0)
+        driver.until(lambda: session.rain.drop_color is not None)
+        red, _, blue = session.rain.drop_color
+        assert red > blue + 0.1
+        driver.ctx.mouse_move_to_pos(imgui.ImVec2(corner.x + 0.4 * width, corner.y + 0.14 * height))
+        driver.ctx.mouse_down(0)
+        driver.frames()
+        driver.ctx.mouse_move_to_pos(imgui.ImVec2(corner.x + 0.6 * width, corner.y + 0.2 * height))
+        driver.frames()
+        driver.ctx.mouse_up(0)
+        driver.until(lambda: session.sky_pick is None and session.rain.drop_color != (red, _, blue), 200)
+        driver.frames()
+        assert session.rain.drop_color[2] > session.rain.drop_color[0] + 0.05
+        driver.click("//Rain/from the sky")
+        assert session.rain.drop_color is None
+
+    driver.run(script)

@@ -1,0 +1,222 @@
+"""One person's afternoon in the window, in two sittings; between them the program is killed.
+
+`python whole_session.py first|second FOLDER`, under a display. Nothing but mouse, keys and dialogs is used.
+"""
+
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from app.workspace import begin_session
+from gsrain_engine.kernel_cache import use_kernel_cache
+from gsrain_engine.scene.scene import Scene
+from gsrain_engine.session.session import Session
+from ui.shortcuts import chord
+from window_driver import Driver, imgui
+
+KEY = imgui.Key
+CTRL, SHIFT = KEY.mod_ctrl, KEY.mod_shift
+
+
+class Person(Driver):
+    """Hands and eyes."""
+
+    def __init__(self, folder, session):
+        super().__init__(folder, Scene("no scene"))
+        self.session = session
+
+    def say(self, *words):
+        print(*words, flush=True)
+
+    def type_into(self, dialog, text):
+        """Type a file's name into a dialog, and press Enter."""
+        self.frames(4)
+        self.ctx.item_click(f"//{dialog}/##file_input")
+        self.ctx.key_chars_replace_enter(text)
+        self.frames(4)
+
+    def answer(self, title, label):
+        """Answer a question of the program, if it asks."""
+        self.frames(4)
+        if self.session.question is not None and self.session.question.title == title:
+            self.ctx.item_click(f"//{title}/{label}")
+            self.frames(4)
+
+    @property
+    def picture_place(self):
+        """Corner and size of the picture on the screen."""
+        rect = self.ctx.item_info("//View/view").rect_full
+        return np.array([rect.min.x, rect.min.y]), np.array([rect.max.x - rect.min.x, rect.max.y - rect.min.y])
+
+    def at(self, x, y):
+        """Screen position of a place in the picture, as shares of its width and height."""
+        corner, size = self.picture_place
+        return corner + size * [x, y]
+
+    def point_at(self, place):
+        self.ctx.mouse_move_to_pos(imgui.ImVec2(*map(float, place)))
+        self.frames()
+
+    def click_at(self, place):
+        self.point_at(place)
+        self.ctx.mouse_click(0)
+        self.frames()
+
+    def drag_through(self, places, button=0):
+        self.point_at(places[0])
+        self.ctx.mouse_down(button)
+        self.frames()
+        for place in places[1:]:
+            self.point_at(place)
+        self.ctx.mouse_up(button)
+        self.frames(3)
+
+    def is_idle(self):
+        return self.session.busy is None and not self.session.running_jobs and self.session.staged is None
+
+
+def first(folder, plant):
+    """Everything up to the kill."""
+    person = Person(folder, Session())
+    session = person.session
+
+    def script():
+        session.clock.playing = False
+        person.ctx.window_focus("//View")
+        person.press(chord(CTRL, KEY.o))
+        person.type_into("Open a scene", str(plant))
+        person.until(lambda: session.scene.name == "plant" and person.is_idle(), 100_000)
+        count = session.scene.gaussian_count
+        person.say("opened", count)
+
+        person.press(KEY.m)  # measure the pot, and say that it is 20 cm wide
+        person.click_at(person.at(0.45, 0.75))
+        person.click_at(person.at(0.55, 0.75))
+        before = session.scene.metres_per_unit
+        person.ctx.item_input_value("//View/**/##true length", 0.2)
+        person.ctx.item_click("//View/**/Set scale")
+        person.frames(3)
+        person.say("scale", session.scene.metres_per_unit / before)
+        person.press(KEY.m)
+        person.press(KEY.f)
+
+        person.point_at(person.at(0.5, 0.5))
+        person.press(KEY.l)
+        around = np.linspace(0, 2 * np.pi, 24)
+        person.drag_through([person.at(0.5 + 0.3 * np.cos(a), 0.85 + 0.16 * np.sin(a)) for a in around])
+        selected = sum(each.marks.selected.size for each in session.scene.members if each.marks.selected)
+        person.press(KEY.delete)
+        person.say("deleted", selected, count - session.scene.gaussian_count)
+        person.press(chord(CTRL, KEY.z))
+        person.say("undone", count - session.scene.gaussian_count)
+        person.press(chord(CTRL, KEY.y))
+        person.say("redone", count - session.scene.gaussian_count)
+        person.press(KEY.escape)
+
+        person.press(chord(CTRL, SHIFT, KEY.o))
+        person.type_into("Import into this scene", str(folder / "street.ply"))
+        person.until(lambda: len(session.scene.layers) == 2 and person.is_idle(), 100_000)
+        person.click("//Layers/members/###layers street")
+        person.ctx.window_focus("//View")
+        person.press(KEY.r)
+        person.press(KEY.f)
+        person.press(KEY.t)
+        person.frames(3)
+        middle = _pivot_on_screen(person)
+        handle = middle + _up_on_screen(person, 40)
+        person.drag_through([handle, *(handle - [0, step] for step in (5, 15, 25))])
+        move = session.scene.member("layers/street").to_scene
+        person.say("placed", float(np.linalg.norm(move[:3, 3])), session.history.undo_label)
+        person.press(KEY.escape)
+
+        person.click("//Rain/8.5")
+        person.ctx.window_focus("//View")
+        person.press(KEY.r)
+        for time_s, turn in ((0.0, 0), (1.5, 30), (3.0, 60), (5.0, 90)):
+            person.ctx.item_input_value("//Timeline/**/##time", time_s)
+            person.drag_through([person.at(0.5, 0.4), person.at(0.5, 0.4) + [turn, 0.2 * turn]], button=1)
+            person.press(KEY.k)
+        path = session.scene.path
+        person.say("keys", path.times_s.tolist())
+        rect = person.ctx.item_info("//Timeline/ruler").rect_full
+        low, y = rect.min.x, (rect.min.y + rect.max.y) / 2 - 4
+        person.drag_through([(low + session.timeline.ruler.x(each), y) for each in (5.0, 3.5, 2.0)])
+        person.say("scrubbed", session.clock.time_s)
+
+        person.ctx.window_focus("//Record")
+        for field, value in (("##size_px/$$0", 192), ("##size_px/$$1", 128), ("##fps", 10.0)):
+            person.ctx.item_input_value(f"//Record/{field}", value)
+            person.frames()
+        person.click("//Record/Record...")
+        person.type_into("Record the timeline", str(folder / "window.mp4"))
+        person.until(lambda: bool(session.jobs), 1000)
+        person.until(person.is_idle, 1_000_000)
+        person.say("recorded", session.jobs[-1].state, session.jobs[-1].error)
+
+        person.ctx.window_focus("//View")
+        person.press(chord(CTRL, KEY.s))
+        person.type_into("Save the scene", str(folder / "project"))
+        person.until(lambda: (folder / "project" / "scene.json").exists() and person.is_idle(), 100_000)
+        person.say("saved", session.has_changes)
+        person.ctx.window_focus("//Display")
+        person.ctx.item_input_value("//Display/##autosave_s", 5.0)
+        person.click("//Rain/12.0")
+        changed = time.monotonic()
+        autosaves = folder / ".project.autosave"
+        person.until(lambda: time.monotonic() > changed + 30 or any(autosaves.glob("**/scene.json")), 10**6)
+        person.say("autosaved", time.monotonic() - changed)
+        person.say("kill me")
+        person.until(lambda: False, 10**9)
+
+    person.run(script)
+
+
+def second(folder):
+    """Come back, recover, look."""
+    session = begin_session(str(folder / "project"), None)
+    person = Person(folder, session)
+
+    def script():
+        session.clock.playing = False
+        person.until(lambda: session.question is not None, 100_000)
+        person.say("asked", session.question.title)
+        person.ctx.item_click(f"//{session.question.title}/Recover")
+        person.until(lambda: person.is_idle() and session.rain.intensity_mm_h == 12, 100_000)
+        scene = session.scene
+        person.say("recovered", session.rain.intensity_mm_h, scene.gaussian_count, len(scene.path.times_s))
+
+    person.run(script)
+
+
+def _pivot_on_screen(person):
+    from gsrain_engine.session.edits.moving import pivot
+
+    return _on_screen(person, pivot(person.session.scene, "layers/street", 0.0))
+
+
+def _up_on_screen(person, pixels):
+    from gsrain_engine.session.edits.moving import pivot
+
+    middle = pivot(person.session.scene, "layers/street", 0.0)
+    up = _on_screen(person, middle + [0, 0, 5.0]) - _on_screen(person, middle)
+    return pixels * up / np.linalg.norm(up)
+
+
+def _on_screen(person, point_m):
+    corner, size = person.picture_place
+    camera = person.session.shot(int(size[0]), int(size[1])).camera
+    x, y, z = camera.world_to_camera[:3, :3] @ point_m + camera.world_to_camera[:3, 3]
+    return corner + [camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy]
+
+
+if __name__ == "__main__":
+    use_kernel_cache()
+    folder = Path(sys.argv[2])
+    if sys.argv[1] == "first":
+        first(folder, Path(sys.argv[3]))
+    else:
+        second(folder)
+    os._exit(0)
