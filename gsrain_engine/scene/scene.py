@@ -72,6 +72,17 @@ class Scene:
         return self.layers, self.actors, self.metres_per_unit, self.up, self.ground_m, self.ego
 
     @property
+    def matter(self) -> Hashable:
+        """What is there to be seen and sheltered under: equal where only selection, locks and names differ."""
+        shown = [
+            (each.gaussians, each.marks.left_out, each.opacity, each.grading)
+            + ((each.kind, each.to_scene.tobytes()) if isinstance(each, Layer) else (each.track,))
+            for each in self.members
+            if each.visible
+        ]
+        return *shown, self.metres_per_unit, self.up, self.ground_m, self.ego
+
+    @property
     def members(self) -> tuple[Layer | Actor, ...]:
         """Layers first, then actors, visible or not."""
         return (*self.layers, *self.actors)

@@ -295,7 +295,7 @@ class Session(EditedDocument):
         self.following.ride(self.scene, self.clock.time_s, self.navigation)
         self.files.poll()
         self._preferences.poll()
-        if self.rain.roofs and (self._roofs is None or self._roofs[0].appearance != self.scene.appearance):
+        if self.rain.roofs and (self._roofs is None or self._roofs[0].matter != self.scene.matter):
             self._roofs = self.scene, self._files.submit(roofs_of, self.scene)
         self.lab.poll()
         for job in self.running_jobs:
@@ -392,7 +392,7 @@ class Session(EditedDocument):
     def _roofs_are_found(self) -> bool:
         if self._roofs is None or not self._roofs[1].done():
             return False
-        return self._roofs[0].appearance == self.scene.appearance
+        return self._roofs[0].matter == self.scene.matter
 
     @property
     def _drawn_rainfall(self) -> Rainfall:
@@ -413,7 +413,7 @@ class Session(EditedDocument):
         if self.scene is not self._scene_of_sky:
             before, self._scene_of_sky = self._scene_of_sky, self.scene
             self._stay_in_place(before)
-            self.sky_is_stale = self.sky_is_stale or before.appearance != self.scene.appearance
+            self.sky_is_stale = self.sky_is_stale or before.matter != self.scene.matter
         if self.rainfall.rain != self.rain or self.rainfall.weather is not self.weather:
             self.rainfall = self.rainfall.changed(self.rain, self.clock.time_s, self.weather)
 

@@ -11,7 +11,7 @@ from gsrain_engine.scene.scene import Scene
 
 logger = logging.getLogger("gsrain")
 
-_QUICK = 100_000
+_QUICK = 60_000
 """So many Gaussians a first look draws; in larger scenes a second one draws all as soon as nothing moves."""
 
 

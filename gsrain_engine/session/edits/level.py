@@ -15,7 +15,7 @@ _STEEPEST_COS = 0.5
 """The ground lies within 60 degrees of level, else `up` would have been said wrongly altogether."""
 _FLAT = 0.6
 """A Gaussian is flat where its thinnest axis is so much shorter than the middle one."""
-_TOLERANCE = 0.004
+_TOLERANCE = 0.008
 """Of the scene's extent: how far from the plane a point of the ground may lie."""
 _BELOW = 2.0
 """Votes that a plane loses for each sample below it: a roof has more of the scene below than itself is large."""
@@ -78,8 +78,8 @@ def find_ground(scene: Scene, seed: int = 0) -> Ground:
     low, high = np.quantile(points, [0.02, 0.98], axis=0)
     tolerance = _TOLERANCE * float(np.linalg.norm(high - low))
     up, point = _winner(points, voters, tolerance, np.random.default_rng(seed))
-    for _ in range(3):
-        near = voters[np.abs((voters - point) @ up) < tolerance]
+    for width in (1.0, 0.5, 0.25):  # of a thick ground the middle counts
+        near = voters[np.abs((voters - point) @ up) < width * tolerance]
         if len(near) < 3:
             break
         point = near.mean(axis=0)

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from gsrain_engine.session.selection.image_shapes import outlines, polygon, rectangle, stroke
 
 W, H = 40, 30
-places = st.tuples(st.floats(-20, 60), st.floats(-20, 50))
+places = st.tuples(st.integers(-1300, 3900), st.integers(-1300, 3300)).map(lambda xy: (xy[0] / 65, xy[1] / 65))
 
 
 def centers():
