@@ -12,7 +12,7 @@ import glfw  # isort: skip
 import moderngl
 from imgui_bundle import glfw_utils
 
-from gsrain_engine.session.preferences import load_preferences
+from gsrain_engine.session.files.preferences import load_preferences
 from ui.style import apply_style
 
 from .layout_file import own_layout

@@ -6,21 +6,21 @@ import moderngl
 from imgui_bundle import hello_imgui, imgui
 
 from gsrain_engine.rain.rain import Rain
-from gsrain_engine.session.clock import Pace
-from gsrain_engine.session.job_previews import JobPreviews
-from gsrain_engine.session.live_view import LiveView
+from gsrain_engine.session.jobs.job_previews import JobPreviews
+from gsrain_engine.session.picture.live_view import LiveView
 from gsrain_engine.session.session import Session, WindowBackend
-from ui.about_page import about_page
+from gsrain_engine.session.timeline.clock import Pace
 from ui.action_keys import act_on_keys
-from ui.command_palette import CommandPalette
-from ui.file_dialogs import answer_dialogs
-from ui.keyboard_page import keyboard_page
 from ui.menus import draw_menus
-from ui.panels import PANELS
-from ui.questions import draw_questions
+from ui.pages.about_page import about_page
+from ui.pages.command_palette import CommandPalette
+from ui.pages.file_dialogs import answer_dialogs
+from ui.pages.keyboard_page import keyboard_page
+from ui.pages.questions import draw_questions
+from ui.panels.table import PANELS
+from ui.picture.viewport_panel import viewport_panel
 from ui.status_bar import status_bar
 from ui.style import apply_style
-from ui.viewport_panel import viewport_panel
 
 logger = logging.getLogger("gsrain")
 

@@ -17,7 +17,6 @@ from gsrain_engine.scene.mask import Mask  # noqa: E402
 from gsrain_engine.scene.random_scene import random_scene, random_scene_camera  # noqa: E402
 from gsrain_engine.scene.scene import Scene  # noqa: E402
 from gsrain_engine.session.edits.cropping import CropBox  # noqa: E402
-from gsrain_engine.session.picking import Picked, pick, pick_point  # noqa: E402
 from gsrain_engine.session.selection import image_shapes  # noqa: E402
 from gsrain_engine.session.selection.attributes import ATTRIBUTES, in_range  # noqa: E402
 from gsrain_engine.session.selection.colors import alike, base_color  # noqa: E402
@@ -27,6 +26,7 @@ from gsrain_engine.session.selection.histogram import AttributeHistogram  # noqa
 from gsrain_engine.session.selection.in_picture import ALL_THROUGH, Reach, in_picture  # noqa: E402
 from gsrain_engine.session.selection.neighbourhood import grown, rim  # noqa: E402
 from gsrain_engine.session.selection.volumes import Ball, in_volume  # noqa: E402
+from gsrain_engine.session.view.picking import Picked, pick, pick_point  # noqa: E402
 
 WIDTH, HEIGHT = 1280, 800
 TOLERANCE, REACH, NEAR_M = 0.15, 2.0, 0.05

@@ -22,7 +22,7 @@ from gsrain_engine.render.machine import machine
 from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from gsrain_engine.scene.random_scene import random_scene, random_scene_camera
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.live_view import LiveView
+from gsrain_engine.session.picture.live_view import LiveView
 from gsrain_engine.session.session import Session, WindowBackend
 from gsrain_engine.session.staged_scene import StagedScene
 

@@ -12,9 +12,9 @@ from PIL import Image
 
 from app.window import Window
 from gsrain_engine.kernel_cache import use_kernel_cache
-from gsrain_engine.session.open_scene import open_scene
+from gsrain_engine.session.files.open_scene import open_scene
 from gsrain_engine.session.session import Session
-from ui.panels import PANELS
+from ui.panels.table import PANELS
 from ui.shortcuts import chord
 from ui.tools import TOOLS
 

@@ -4,7 +4,7 @@ from imgui_bundle import imgui
 
 from gsrain_engine.session.session import Session
 
-from .rain_panel import WARNING
+from .panels.rain_panel import WARNING
 from .tools import TOOLS
 
 

@@ -25,8 +25,8 @@ from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.random_scene import is_random_scene, random_scene, random_scene_camera
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.home_camera import default_path
-from gsrain_engine.session.open_scene import open_scene
+from gsrain_engine.session.files.open_scene import open_scene
+from gsrain_engine.session.view.home_camera import default_path
 
 from .arguments import parse_size, write_numbers
 from .progress import progress_bar

@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.formats.scene_files import names_scene_folder
-from gsrain_engine.session.open_scene import open_scene
+from gsrain_engine.session.files.open_scene import open_scene
 
 from .marked import marked, marked_text
 

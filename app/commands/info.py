@@ -10,7 +10,7 @@ from rich.table import Table
 from gsrain_engine.scene.bounds import bounds
 from gsrain_engine.scene.members import Actor, Layer
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.open_scene import open_scene
+from gsrain_engine.session.files.open_scene import open_scene
 
 from .arguments import JsonFile, write_numbers
 from .marked import marked, marked_text

@@ -21,10 +21,10 @@ from gsrain_engine.scene.camera import Camera, read_camera
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_files import read_camera_path
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.home_camera import front_camera, home_camera
-from gsrain_engine.session.open_scene import open_to_draw
-from gsrain_engine.session.rainy_look import rainy_scene
-from gsrain_engine.session.recorded_project import own_path
+from gsrain_engine.session.files.open_scene import open_to_draw
+from gsrain_engine.session.jobs.rainy_look import rainy_scene
+from gsrain_engine.session.jobs.recorded_project import own_path
+from gsrain_engine.session.view.home_camera import front_camera, home_camera
 
 from .arguments import JsonFile, parse_size, write_numbers
 from .progress import progress_bar

@@ -9,8 +9,8 @@ from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.weather import Weather
 from gsrain_engine.scene.scene import Scene
 
-from .clock import Clock
 from .history import Document, History
+from .timeline.clock import Clock
 
 logger = logging.getLogger("gsrain")
 

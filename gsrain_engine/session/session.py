@@ -23,34 +23,34 @@ from gsrain_engine.render.scene_view import Shot
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 
-from .background_job import BackgroundJob, JobPreview
-from .clock import Clock
 from .edited_document import EditedDocument
-from .following import Following
+from .files.kept_preferences import KeptPreferences
+from .files.kept_view import look_again
+from .files.opened import Opened
+from .files.preferences import Preferences
+from .files.scene_files import SceneFiles
 from .history import Document, History
-from .home_camera import home_camera, scene_bounds
-from .interaction_budget import EXACT, Detail, InteractionBudget
-from .kept_preferences import KeptPreferences
-from .kept_view import look_again
+from .jobs.background_job import BackgroundJob, JobPreview
+from .jobs.rainy_look import with_gaussians_of
+from .jobs.rainy_look_job import RainyLookJob
+from .jobs.recorder import Recorder
+from .jobs.recording_job import RecordingJob
 from .log import LogLines, told
-from .navigation import Navigation
-from .opened import Opened
-from .preferences import Preferences
+from .picture.interaction_budget import EXACT, Detail, InteractionBudget
+from .picture.sky_pick import SkyPick
 from .question import Answer, Question, nothing
 from .rain_lab import RainLab
-from .rainy_look import with_gaussians_of
-from .rainy_look_job import RainyLookJob
-from .recorder import Recorder
-from .recording_job import RecordingJob
-from .ride import Ride
-from .scene_files import SceneFiles
 from .selection.options import SelectionOptions
-from .shower_view import ShowerView
-from .sky_pick import SkyPick
 from .staged_scene import StagedScene
-from .timeline import Timeline
-from .timeline_rows import content_span
-from .view_options import ViewOptions
+from .timeline.clock import Clock
+from .timeline.rows import content_span
+from .timeline.shower_view import ShowerView
+from .timeline.timeline import Timeline
+from .view.following import Following
+from .view.home_camera import home_camera, scene_bounds
+from .view.navigation import Navigation
+from .view.ride import Ride
+from .view.view_options import ViewOptions
 
 logger = logging.getLogger("gsrain")
 

@@ -18,7 +18,7 @@ from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.grading import Grading, graded
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Part
-from gsrain_engine.session.cpu_picture import compile_kernels
+from gsrain_engine.session.picture.cpu_picture import compile_kernels
 
 from .raster_scenes import random_gaussians, small_camera
 

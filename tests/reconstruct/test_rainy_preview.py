@@ -18,7 +18,7 @@ from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.rainy_look import with_colors
+from gsrain_engine.session.jobs.rainy_look import with_colors
 
 from .small_street import small_street
 

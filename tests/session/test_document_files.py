@@ -13,7 +13,7 @@ from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
-from gsrain_engine.session.autosave import beside
+from gsrain_engine.session.files.autosave import beside
 from gsrain_engine.session.session import Session
 from small_scene import small_scene
 
@@ -142,7 +142,7 @@ def test_an_autosave_that_fails_is_told_once_and_tried_again(session, home, monk
 
     delete_every_third(session)
     with monkeypatch.context() as patched:
-        patched.setattr("gsrain_engine.session.autosave.write_scene_folder", full)
+        patched.setattr("gsrain_engine.session.files.autosave.write_scene_folder", full)
         keep_now(session)
         assert "autosave can't be written: No space left" in session.problem
         session.problem = None
@@ -237,7 +237,7 @@ def test_a_save_that_fails_does_not_leave(session, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("gsrain_engine.session.scene_files.write_scene", full)
+    monkeypatch.setattr("gsrain_engine.session.files.scene_files.write_scene", full)
     delete_every_third(session)
     session.leave()
     answer(session, "Save")

@@ -4,9 +4,9 @@ import pytest
 
 from gsrain_engine.scene.scene import Scene
 from ui.actions import ACTIONS
-from ui.command_palette import matches
 from ui.menus import MENUS
-from ui.panels import PANELS
+from ui.pages.command_palette import matches
+from ui.panels.table import PANELS
 from ui.shortcuts import chord, chord_name
 from ui.tools import TOOLS
 from window_driver import Driver, imgui

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from gsrain_engine.scene.camera_path_files import read_camera_path
-from gsrain_engine.session import timeline_edits as edits
-from gsrain_engine.session import timeline_files as files
-from gsrain_engine.session.path_drawing import path_drawing
+from gsrain_engine.session.timeline import edits as edits
+from gsrain_engine.session.timeline import path_files as files
+from gsrain_engine.session.view.path_drawing import path_drawing
 from ui.shortcuts import chord
 from window_driver import Driver, imgui
 

@@ -6,8 +6,8 @@ from imgui_bundle import imgui
 
 from gsrain_engine.session.session import Session
 
-from ..file_dialogs import ask_what_to_open, ask_where_to_save
-from ..questions import SAVED_KINDS
+from ..pages.file_dialogs import ask_what_to_open, ask_where_to_save
+from ..pages.questions import SAVED_KINDS
 from ..shortcuts import chord
 from .action import Action
 

@@ -1,6 +1,6 @@
 """Work that goes on behind the window."""
 
-from gsrain_engine.session.rainy_look_job import TITLE
+from gsrain_engine.session.jobs.rainy_look_job import TITLE
 
 from .action import Action
 

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from gsrain_engine.rain.weather import WITHOUT_CHANGE
 from gsrain_engine.session.session import Session
 
-from ..drop_color import PICK_TOOL
-from ..key_button import toggle_key
-from ..shower_panel import add_shower, ask_for_series
+from ..panels.drop_color import PICK_TOOL
+from ..panels.shower_panel import add_shower, ask_for_series
+from ..widgets.key_button import toggle_key
 from .action import Action
 
 _MENU = "Rain"

@@ -4,7 +4,7 @@ from imgui_bundle import imgui
 
 from gsrain_engine.session.session import Session
 
-from ..record_panel import ask_where_to_record, ask_where_to_record_still
+from ..panels.record_panel import ask_where_to_record, ask_where_to_record_still
 from ..shortcuts import chord
 from .action import Action
 

@@ -4,13 +4,13 @@ from collections.abc import Callable
 
 from imgui_bundle import imgui
 
-from gsrain_engine.session import timeline_edits as edits
-from gsrain_engine.session import timeline_files as files
-from gsrain_engine.session import timeline_moments as moments
 from gsrain_engine.session.session import Session
+from gsrain_engine.session.timeline import edits as edits
+from gsrain_engine.session.timeline import moments as moments
+from gsrain_engine.session.timeline import path_files as files
 
+from ..panels.timeline.path_menu import ask_for_export, ask_for_import
 from ..shortcuts import chord
-from ..timeline.path_menu import ask_for_export, ask_for_import
 from .action import Action
 
 _KEY = imgui.Key

@@ -7,7 +7,7 @@ from imgui_bundle import imgui
 
 from gsrain_engine.render.look import Look
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.view_options import Split
+from gsrain_engine.session.view.view_options import Split
 
 from ..shortcuts import chord
 from .action import Action

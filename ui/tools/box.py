@@ -3,12 +3,12 @@
 from imgui_bundle import icons_fontawesome_6, imgui
 
 from gsrain_engine.session.edits.cropping import CropBox
-from gsrain_engine.session.picking import pick_point
 from gsrain_engine.session.selection.volumes import standing_on
 from gsrain_engine.session.session import Session
+from gsrain_engine.session.view.picking import pick_point
 
-from ..markers import draw_hint
-from ..viewport import Viewport
+from ..picture.viewport import Viewport
+from ..widgets.markers import draw_hint
 from .box_faces import Face, draw_box, face_under_mouse, is_pressed
 from .selecting import MODIFIERS, apply_volume, beside, mode_options
 

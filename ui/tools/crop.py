@@ -8,8 +8,8 @@ from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.edits.cropping import CropBox, box_around, crop
 from gsrain_engine.session.session import Session
 
-from ..markers import YELLOW, draw_hint, draw_line, draw_point
-from ..viewport import Viewport
+from ..picture.viewport import Viewport
+from ..widgets.markers import YELLOW, draw_hint, draw_line, draw_point
 
 _EDGES = [(corner, corner | bit) for corner in range(8) for bit in (1, 2, 4) if not corner & bit]
 _FACES = [(axis, upper) for axis in range(3) for upper in (False, True)]

@@ -7,11 +7,11 @@ from imgui_bundle import icons_fontawesome_6, imgui
 from jaxtyping import Float64
 
 from gsrain_engine.session.edits.level import level_from_ground, level_from_points, set_ground_height
-from gsrain_engine.session.picking import pick_point
 from gsrain_engine.session.session import Session
+from gsrain_engine.session.view.picking import pick_point
 
-from ..markers import draw_hint, draw_line, draw_point, is_clicked
-from ..viewport import Viewport
+from ..picture.viewport import Viewport
+from ..widgets.markers import draw_hint, draw_line, draw_point, is_clicked
 
 _ORDINALS = ("first", "second", "third")
 

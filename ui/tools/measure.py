@@ -8,11 +8,11 @@ from jaxtyping import Float64
 
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.edits.scale import distance_m, set_length
-from gsrain_engine.session.picking import pick_point
 from gsrain_engine.session.session import Session
+from gsrain_engine.session.view.picking import pick_point
 
-from ..markers import draw_hint, draw_line, draw_point, draw_words, is_clicked
-from ..viewport import Viewport
+from ..picture.viewport import Viewport
+from ..widgets.markers import draw_hint, draw_line, draw_point, draw_words, is_clicked
 
 
 @dataclass(slots=True)

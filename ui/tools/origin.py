@@ -7,11 +7,11 @@ from imgui_bundle import icons_fontawesome_6, imgui
 
 from gsrain_engine.session.edits.ego_origin import SENSOR_HEIGHT_M, set_ego_start, set_origin
 from gsrain_engine.session.edits.level import set_ground_height
-from gsrain_engine.session.picking import pick_point
 from gsrain_engine.session.session import Session
+from gsrain_engine.session.view.picking import pick_point
 
-from ..markers import draw_hint, draw_point, draw_words, is_clicked
-from ..viewport import Viewport
+from ..picture.viewport import Viewport
+from ..widgets.markers import draw_hint, draw_point, draw_words, is_clicked
 
 Meaning = Literal["Ego start", "World origin", "Ground height"]
 

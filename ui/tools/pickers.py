@@ -2,15 +2,15 @@
 
 from imgui_bundle import icons_fontawesome_6, imgui
 
-from gsrain_engine.session.picking import Picked, pick
 from gsrain_engine.session.selection.candidates import is_editable
 from gsrain_engine.session.selection.colors import alike, base_color
 from gsrain_engine.session.selection.flood import flooded
 from gsrain_engine.session.selection.steps import select
 from gsrain_engine.session.session import Session
+from gsrain_engine.session.view.picking import Picked, pick
 
-from ..markers import is_clicked
-from ..viewport import Viewport
+from ..picture.viewport import Viewport
+from ..widgets.markers import is_clicked
 from .selecting import MODIFIERS, beside, mode_now, mode_options, tolerance_option
 
 

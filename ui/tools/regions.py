@@ -8,13 +8,13 @@ from jaxtyping import Float64
 
 from gsrain_engine.rain.rain import HAZE_REGION, STREAK_REGION, Box
 from gsrain_engine.render.scene_view import Shot, rain_anchor
-from gsrain_engine.session.region_handles import FaceHandle, FacePull, RegionName, face_handles
-from gsrain_engine.session.region_inset import frustum_lines, inset_shot
-from gsrain_engine.session.region_outlines import project_edges
 from gsrain_engine.session.session import Session
+from gsrain_engine.session.view.region_handles import FaceHandle, FacePull, RegionName, face_handles
+from gsrain_engine.session.view.region_inset import frustum_lines, inset_shot
+from gsrain_engine.session.view.region_outlines import project_edges
 
-from ..markers import Rgba, draw_line, draw_point, draw_words
-from ..viewport import Viewport
+from ..picture.viewport import Viewport
+from ..widgets.markers import Rgba, draw_line, draw_point, draw_words
 
 _COLORS = {"streak_region": (0.45, 0.85, 1.0, 1.0), "haze_region": (1.0, 0.8, 0.45, 1.0)}
 _LABELS: dict[RegionName, str] = {"streak_region": "Streak region", "haze_region": "Haze region"}

@@ -11,7 +11,7 @@ from gsrain_engine.session.selection.steps import select
 from gsrain_engine.session.selection.volumes import Volume, in_volume
 from gsrain_engine.session.session import Session
 
-from ..viewport import Viewport
+from ..picture.viewport import Viewport
 
 MODIFIERS = "Shift adds, Ctrl removes, both intersect."
 

@@ -2,12 +2,12 @@
 
 from imgui_bundle import icons_fontawesome_6, imgui
 
+from gsrain_engine.session.picture.sky_pick import SkyPick
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.sky_pick import SkyPick
 
-from ..drop_color import PICK_TOOL
-from ..markers import draw_hint
-from ..viewport import Viewport
+from ..panels.drop_color import PICK_TOOL
+from ..picture.viewport import Viewport
+from ..widgets.markers import draw_hint
 from . import outline
 from .left_drag import LeftDrag
 

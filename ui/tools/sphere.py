@@ -2,12 +2,12 @@
 
 from imgui_bundle import icons_fontawesome_6, imgui
 
-from gsrain_engine.session.picking import pick_point
 from gsrain_engine.session.selection.volumes import Ball
 from gsrain_engine.session.session import Session
+from gsrain_engine.session.view.picking import pick_point
 
-from ..markers import draw_hint, draw_point
-from ..viewport import Viewport
+from ..picture.viewport import Viewport
+from ..widgets.markers import draw_hint, draw_point
 from . import outline
 from .box_faces import is_pressed
 from .left_drag import LeftDrag

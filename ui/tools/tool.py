@@ -6,7 +6,7 @@ from imgui_bundle import imgui
 
 from gsrain_engine.session.session import Session
 
-from ..viewport import Viewport
+from ..picture.viewport import Viewport
 
 
 @runtime_checkable

@@ -9,12 +9,12 @@ from jaxtyping import Float64
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.edits.marking import selected_count
 from gsrain_engine.session.edits.moving import move_member, move_selected, moving, pivot
-from gsrain_engine.session.gizmo_matrices import Handle, standing_at
 from gsrain_engine.session.session import Session
+from gsrain_engine.session.view.gizmo_matrices import Handle, standing_at
 
-from ..gizmo import Gizmo
-from ..markers import draw_hint
-from ..viewport import Viewport
+from ..picture.viewport import Viewport
+from ..widgets.gizmo import Gizmo
+from ..widgets.markers import draw_hint
 
 _VERBS: dict[Handle, tuple[str, str]] = {
     "translate": ("Move", "Drag an arrow or a square; Ctrl snaps to half a metre."),

@@ -1,0 +1,1 @@
+"""Changes of a scene, each a function from one to the next."""

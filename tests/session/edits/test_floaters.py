@@ -8,7 +8,7 @@ from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Layer
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.edits.floaters import FloaterRules, FloaterSearch, select_floaters
-from gsrain_engine.session.floater_job import FloaterJob
+from gsrain_engine.session.jobs.floater_job import FloaterJob
 from gsrain_engine.session.session import Session
 
 OFF = FloaterRules(opacity_below=0, size_above_m=0, isolation_above=0)

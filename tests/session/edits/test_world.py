@@ -8,16 +8,11 @@ import pytest
 from gsrain_engine.scene.members import Layer
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.edits.ego_origin import SENSOR_HEIGHT_M, set_ego_start, set_origin
-from gsrain_engine.session.edits.level import (
-    find_ground,
-    level_from_ground,
-    level_from_points,
-    set_ground_height,
-)
+from gsrain_engine.session.edits.level import find_ground, level_from_ground, level_from_points, set_ground_height
 from gsrain_engine.session.edits.scale import distance_m, set_length
-from gsrain_engine.session.following import Following
-from gsrain_engine.session.navigation import Navigation
 from gsrain_engine.session.session import Session
+from gsrain_engine.session.view.following import Following
+from gsrain_engine.session.view.navigation import Navigation
 from small_scene import small_scene
 
 from .edited_scene import edited_scene, some_gaussians, turned

@@ -1,0 +1,1 @@
+"""Opening, saving and keeping what a person works on."""

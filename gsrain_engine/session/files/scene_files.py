@@ -1,0 +1,299 @@
+"""Opening, saving and keeping the document of a session, and what has to be asked on the way."""
+
+import logging
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.formats.known_files import KnownFiles
+from gsrain_engine.scene.formats.scene_files import names_scene_folder
+from gsrain_engine.scene.scene import Scene
+
+from ..edits.importing import import_scene
+from ..history import Document
+from ..log import told
+from ..question import Answer, Question, nothing
+from ..staged_scene import StagedScene
+from .autosave import Autosaved
+from .disk_stamp import DiskStamp, has_changed, stamp_of
+from .open_scene import is_built_in, scene_folder_of
+from .opened import Opened, read_kept, read_opened
+from .recent_files import add_recent_file, forget_recent_file, recent_files
+from .recovery import Recovery
+from .saved_scene import saved_scene
+
+if TYPE_CHECKING:
+    from ..session import Session
+
+logger = logging.getLogger("gsrain")
+
+
+class SceneFiles:
+    """The files of one session. Reading and writing happens in `thread`, everything else on the main thread."""
+
+    def __init__(self, session: "Session", thread: ThreadPoolExecutor) -> None:
+        self._session = session
+        self._thread = thread
+        self.source: str | None = None
+        """What was opened last, as it was named."""
+        self.home: Path | None = None
+        """The scene folder that the document came from or was saved to: where Save writes."""
+        self.recent: list[Path] = recent_files()
+        """Scenes that were used last, the latest first."""
+        self.place_wanted: Callable[[Path], None] | None = None
+        """Set while somebody has to be asked where to save; called with the answer."""
+        self.recovery = Recovery(session, thread)
+        self._known = KnownFiles()
+        self._stamp: DiskStamp | None = None
+        self._saved: Document = session.history.present
+        self._opening: tuple[str, Future[Opened]] | None = None
+        self._arriving: Opened | None = None
+        self._saving: _Saving | None = None
+        self._next_saving: Callable[[], None] | None = None
+        self._importing: list[tuple[str, Future[Opened]]] = []
+        self._recent: Future[list[Path]] | None = None
+
+    # What is known
+
+    @property
+    def has_changes(self) -> bool:
+        """Whether the document is another than the one that was opened or saved."""
+        return self._session.history.present is not self._saved
+
+    @property
+    def known(self) -> KnownFiles:
+        """Which files hold which Gaussians; for the thread that reads and writes."""
+        return self._known
+
+    @property
+    def is_opening(self) -> bool:
+        """Whether a scene is being read."""
+        return self._opening is not None
+
+    @property
+    def busy(self) -> str | None:
+        """What is being read or written for a person who waits for it; None when nothing is."""
+        if self._opening is not None:
+            return f"Opening {self._opening[0]}"
+        if self._importing:
+            return f"Importing {self._importing[0][0]}"
+        return f"Saving {self._saving.target}" if self._saving is not None else None
+
+    @property
+    def pending(self) -> list[Future[Any]]:
+        """Everything that goes on in the thread."""
+        opening = [self._opening[1]] if self._opening is not None else []
+        saving = [self._saving.future] if self._saving is not None else []
+        recent = [self._recent] if self._recent is not None else []
+        return [*opening, *saving, *recent, *(each for _, each in self._importing), *self.recovery.pending]
+
+    # Opening
+
+    def open(self, path: str) -> None:
+        """Go to another scene, once a person has said what becomes of unsaved changes."""
+        self.when_safe(f"open {Path(path).name or path}", lambda: self.open_now(path))
+
+    def open_now(self, path: str) -> None:
+        """Read a scene in the background and go to it; of several, the one that was asked for last."""
+        self._begin_opening(path, lambda: read_opened(path))
+
+    def recover(self, autosaved: Autosaved) -> None:
+        """Go on with what a process that died has kept; its changes are still to be saved."""
+        self._begin_opening(autosaved.about.name, lambda: read_kept(autosaved))
+
+    def import_from(self, path: str) -> None:
+        """Read a scene in the background and add its layers and actors to the present one."""
+        logger.info("Importing %s", path)
+        self._session.problem = None
+        self._importing.append((path, self._thread.submit(read_opened, path)))
+
+    def revert(self) -> None:
+        """Go back to what is on the disk."""
+        source = str(self.home) if self.home is not None else self.source
+        if source is None:
+            return
+        title, text = "Revert", f"All changes of {self._session.scene.name} since it was last saved are lost."
+        back = Answer("Revert", lambda: self.open_now(source), "Read the scene again.")
+        if self.has_changes:
+            self._session.ask(Question(title, text, (back, _CANCEL)))
+        else:
+            self.open_now(source)
+
+    def close_scene(self) -> None:
+        """Go to an empty scene."""
+        empty = Opened(Scene("no scene"), "", None, None, KnownFiles())
+        self.when_safe("close it", lambda: self._session.enter(empty))
+
+    def when_safe(self, what: str, act: Callable[[], None]) -> None:
+        """Do what takes the place of the document or ends the program; with unsaved changes, ask first."""
+        if not self.has_changes:
+            act()
+            return
+        name = self._session.scene.name
+        answers = (
+            Answer("Save", lambda: self.save_then(act), f"Save {name}, then {what}."),
+            Answer("Don't save", act, f"Lose the changes and {what}."),
+            _CANCEL,
+        )
+        self._session.ask(Question("Unsaved changes", f"Save the changes of {name} before you {what}?", answers))
+
+    def enter(self, opened: Opened, document: Document) -> None:
+        """Take note that the session went to a document that was opened."""
+        self.source, self.home, self._known = opened.source or None, opened.home, opened.known
+        self._stamp, self._saved = opened.stamp, document
+        recovered = opened.recovered.place if opened.recovered is not None else None
+        if recovered is not None:
+            self._saved = replace(document)  # another value: there are changes
+        self.recovery.enter(opened.home, document, recovered)
+        if opened.source and not is_built_in(opened.source) and recovered is None:
+            self._recent = self._thread.submit(add_recent_file, Path(opened.source))
+
+    # Saving
+
+    def save(self) -> None:
+        """Save where the document came from; where that is no scene folder, ask for a place."""
+        self.save_then(nothing)
+
+    def save_then(self, act: Callable[[], None]) -> None:
+        """Save as `save` does, and do something once that has succeeded."""
+        if self.home is not None:
+            self.save_to(self.home, act)
+        else:
+            self.place_wanted = lambda path: self.save_as(path, act)
+
+    def save_to(self, path: Path, act: Callable[[], None] = nothing) -> None:
+        """Save to a scene folder or a file, unless somebody else has changed what is there: then ask first."""
+        home = self.home
+        if home is None or path.resolve() != home or not has_changed(home, self._stamp):
+            self._begin_saving(path, act)
+            return
+
+        def elsewhere() -> None:
+            self.place_wanted = lambda chosen: self.save_as(chosen, act)
+
+        answers = (
+            Answer("Save as...", elsewhere, "Save to another place; both versions stay."),
+            Answer("Overwrite", lambda: self._begin_saving(path, act), "What the other program has saved is lost."),
+            Answer("Reload", lambda: self.open_now(str(home)), "Read what is on the disk; the changes here are lost."),
+            _CANCEL,
+        )
+        text = f"{home} was changed by another program or window since it was opened or saved here."
+        self._session.ask(Question("Changed on disk", text, answers))
+
+    def save_as(self, path: Path, act: Callable[[], None] = nothing) -> None:
+        """Save to another place; where another scene folder stands there, ask first."""
+        other = scene_folder_of(path)
+        if other is None or other == self.home:
+            self.save_to(path, act)
+            return
+        replacing = Answer("Replace", lambda: self.save_to(path, act), "The scene that stands there now is lost.")
+        text = f"There is another scene in {other}. Replace it?"
+        self._session.ask(Question("Replace a scene", text, (replacing, _CANCEL)))
+
+    def give_up(self) -> None:
+        """Take it that a person does not want the changes: nothing is kept of them."""
+        self._saved = self._session.history.present
+
+    # Over time
+
+    def offer_recovery(self) -> None:
+        """Look for what processes that died have kept, and ask what becomes of it."""
+        self.recovery.look(self.recent)
+
+    def poll(self) -> None:
+        """Take in what the thread has finished. Once a frame."""
+        if self._opening is not None and self._opening[1].done():
+            (path, opening), self._opening = self._opening, None
+            try:
+                self._arriving = opening.result()
+                self._session.stage(StagedScene(path, self._arriving.scene, is_opened=True))
+            except Exception as error:  # whatever a file can do to its reader: the window lives on
+                self._session.problem = told(f"{path} can't be opened", error)
+                if Path(path) in self.recent and not Path(path).exists():
+                    self._recent = self._thread.submit(forget_recent_file, Path(path))
+        if self._saving is not None and self._saving.future.done():
+            saving, self._saving = self._saving, None
+            self._take_saved(saving)
+        if self._importing and self._importing[0][1].done():
+            self._take_imported(*self._importing.pop(0))
+        if self._recent is not None and self._recent.done():
+            recent, self._recent = self._recent, None
+            if recent.exception() is None:
+                self.recent = recent.result()
+        self.recovery.poll(self._saved, self._stamp, self._known)
+
+    def arrive(self, scene: Scene) -> Opened:
+        """What is known about a staged scene that was opened here."""
+        opened, self._arriving = self._arriving, None
+        return opened if opened is not None and opened.scene is scene else Opened(scene, "", None, None, KnownFiles())
+
+    def close(self) -> None:
+        """End: wait for what is being written. What is kept of unsaved changes goes, unless nobody was asked."""
+        if self._opening is not None:
+            self._opening[1].cancel()
+        self.recovery.close(is_saved=not self.has_changes)
+
+    def _begin_opening(self, label: str, read: Callable[[], Opened]) -> None:
+        if self._opening is not None:
+            self._opening[1].cancel()
+        logger.info("Opening %s", label)
+        self._session.problem = None
+        self._opening = label, self._thread.submit(read)
+
+    def _begin_saving(self, path: Path, act: Callable[[], None]) -> None:
+        if self._saving is not None:  # the newest is what counts
+            self._next_saving = lambda: self._begin_saving(path, act)
+            return
+        scene, document, known = saved_scene(self._session), self._session.history.present, self._known
+        future = self._thread.submit(_write, scene, path, known)
+        self._saving = _Saving(path.resolve(), document, act, future)
+
+    def _take_saved(self, saving: "_Saving") -> None:
+        again, self._next_saving = self._next_saving, None
+        try:
+            stamp = saving.future.result()
+        except Exception as error:
+            self._session.problem = told(f"{saving.target} can't be saved", error)
+            return
+        logger.info("Saved %s", saving.target)
+        if stamp is not None or self.home is None:  # a single file beside a scene folder is only a copy of it
+            self._saved = saving.document
+            self.recovery.forget()
+        if stamp is not None:
+            if saving.target != self.home:
+                self.recovery.enter(saving.target, saving.document)
+            self.home, self.source, self._stamp = saving.target, str(saving.target), stamp
+        self._recent = self._thread.submit(add_recent_file, saving.target)
+        saving.act()
+        if again is not None:
+            again()
+
+    def _take_imported(self, path: str, importing: "Future[Opened]") -> None:
+        try:
+            other = importing.result().scene
+        except Exception as error:  # whatever a file can do to its reader: the window lives on
+            self._session.problem = told(f"{path} can't be imported", error)
+        else:
+            self._session.edit(f"Import {other.name}", import_scene, other)
+            logger.info("Imported %s: %s Gaussians", path, f"{other.gaussian_count:,}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Saving:
+    target: Path
+    document: Document
+    act: Callable[[], None]
+    future: "Future[DiskStamp | None]"
+
+
+_CANCEL = Answer("Cancel", nothing, "Change nothing.")
+
+
+def _write(scene: Scene, path: Path, known: KnownFiles) -> DiskStamp | None:
+    """Save; returns the state of the scene folder afterwards, None for a single file."""
+    is_folder = names_scene_folder(path)
+    write_scene(scene, path, known, in_drawing_order=True)
+    return stamp_of(path) if is_folder else None

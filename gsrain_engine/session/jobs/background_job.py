@@ -1,0 +1,39 @@
+"""What the Jobs panel shows of any work that goes on behind the window."""
+
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
+
+from gsrain_engine.scene.progress import Progress
+
+from .worker import JobState
+
+if TYPE_CHECKING:
+    from ..session import Session
+
+
+@runtime_checkable
+class BackgroundJob(Protocol):
+    """One run of something. Its own threads and processes never touch the session: `poll` does."""
+
+    title: str
+    state: JobState
+    progress: Progress
+    error: str | None
+    """What went wrong, as one line; `details` has the rest."""
+    details: str | None
+
+    def poll(self, session: "Session") -> None:
+        """Go on, without waiting; once a frame while it runs. Whoever finishes brings the result into the session."""
+        ...
+
+    def cancel(self) -> None:
+        """Stop, wherever it is, without waiting; the document stays as it was."""
+        ...
+
+
+class JobPreview(NamedTuple):
+    """A picture that a panel can show."""
+
+    texture: int
+    """Name of the OpenGL texture; first row on top."""
+    width: int
+    height: int

@@ -1,0 +1,122 @@
+"""The job that records: save the document aside, record it in another process, say what came of it."""
+
+import logging
+import shutil
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gsrain_engine.render.recording import Recording
+from gsrain_engine.scene.formats.known_files import KnownFiles
+from gsrain_engine.scene.formats.scene_folder import write_scene_folder
+from gsrain_engine.scene.progress import Progress
+from gsrain_engine.scene.scene import Scene
+
+from ..log import told
+from .recorded_project import record_in_worker
+from .worker import Job, JobState
+
+if TYPE_CHECKING:
+    from ..session import Session
+
+logger = logging.getLogger("gsrain")
+
+
+class RecordingJob:
+    """One recording, a `BackgroundJob`."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        recording: Recording,
+        files: ThreadPoolExecutor,
+        known: KnownFiles,
+        notes: Sequence[str] = (),
+    ) -> None:
+        """Start on a document as it goes into files; `files` is the thread where reading and writing happens.
+
+        What `known` says to be in a file already is taken from there, so that the worker sees the numbers that the
+        command line sees. `notes` go into the log at the end.
+        """
+        self.title = f"Record {recording.path.name}"
+        self.state: JobState = "running"
+        self.progress = Progress(0.0, "Saving the scene for the worker")
+        self.error: str | None = None
+        self.details: str | None = None
+        self._recording, self._files, self._notes = recording, files, tuple(notes)
+        self._folder: Path | None = None
+        self._saving: Future[Path] | None = files.submit(_save, scene, known)
+        self._worker: Job | None = None
+
+    def poll(self, session: "Session") -> None:
+        """Go on to the next stage when the present one is through; never waits."""
+        if self.state != "running":
+            return
+        try:
+            if self._saving is not None and self._saving.done():
+                saving, self._saving = self._saving, None
+                self._folder = saving.result()
+                self._worker = Job(self.title, record_in_worker, self._folder / "scene", self._recording)
+            if self._worker is not None:
+                self._follow(self._worker)
+        except Exception as error:  # whatever a disk can do: the window lives on
+            self.error = told(f"{self._recording.output} can't be recorded", error)
+            self._end("failed")
+        if self.error is not None:
+            session.problem = self.error
+
+    def cancel(self) -> None:
+        """Stop; what has been recorded so far can be played."""
+        if self.state == "running":
+            logger.info("Stopped recording %s: what there is of it can be played", self._recording.output)
+            self._end("cancelled")
+
+    def _follow(self, worker: Job) -> None:
+        shown = self.progress.preview
+        worker.poll()
+        self.progress = worker.progress
+        if self.progress.preview is None and worker.state == "running":
+            self.progress = self.progress._replace(preview=shown)
+        if worker.state == "failed":
+            kind, _, sentence = (worker.error or "").partition(": ")
+            self.error = sentence if kind in ("OSError", "ValueError") else worker.error
+            self.details = worker.details
+            self._end("failed")
+        elif worker.state == "finished":
+            logger.info("Recorded %s", self._recording.output)
+            for note in self._notes:
+                logger.info("%s", note)
+            self._end("finished")
+
+    def _end(self, state: JobState) -> None:
+        self.state = state
+        if self._worker is not None:
+            self._worker.cancel()
+        if self._saving is not None:
+            self._saving.cancel()
+        # Ending a process and emptying a folder take their time: the window goes on meanwhile.
+        self._files.submit(_clean_up, self._worker, self._saving, self._folder)
+        self._worker = self._saving = None
+
+
+def _save(scene: Scene, known: KnownFiles) -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="gsrain-"))
+    try:
+        write_scene_folder(scene, folder / "scene", known, linking=True, in_drawing_order=True)
+        known.forget(folder / "scene")  # it will be gone soon
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return folder
+
+
+def _clean_up(worker: Job | None, saving: Future[Path] | None, folder: Path | None) -> None:
+    """Runs after whatever the job had handed to the same thread before."""
+    if worker is not None:
+        worker.close()
+    if saving is not None and not saving.cancelled() and saving.exception() is None:
+        folder = saving.result()
+    if folder is not None:
+        shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,86 @@
+"""Preferences and recent scenes: what several windows share."""
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from gsrain_engine.session.files.preferences import Preferences, load_preferences, preferences_file, save_preferences
+from gsrain_engine.session.files.recent_files import MOST, add_recent_file, forget_recent_file, recent_files
+from gsrain_engine.session.session import Session
+
+
+@pytest.fixture(autouse=True)
+def own_folders(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+
+
+def test_preferences_come_back():
+    assert load_preferences() == (Preferences(), None)
+    session = Session()
+    session.prefer(theme="light", font_scale=1.5)
+    assert session.preferences.font_scale == 1.5
+    session.close()  # writes what is still to be written
+    again = Session()
+    assert (again.preferences.theme, again.preferences.font_scale) == ("light", 1.5)
+    again.close()
+
+
+def test_two_windows_keep_each_others_preferences():
+    first, second = Session(), Session()
+    first.prefer(theme="light")
+    second.prefer(autosave_s=60.0)
+    first.close()
+    second.close()
+    assert load_preferences()[0] == Preferences(theme="light", autosave_s=60.0)
+
+
+def test_what_is_out_of_bounds_is_told_and_not_taken():
+    session = Session()
+    session.prefer(font_scale=100.0)
+    assert "<= 3.0 - at `$.font_scale`" in session.problem
+    assert session.preferences.font_scale == 1.0
+    with pytest.raises(msgspec.ValidationError):
+        save_preferences(theme="pink")
+    session.close()
+
+
+@pytest.mark.parametrize("text", ["theme: [", "theme: pink", "- 1", "\x00"])
+def test_a_bad_file_is_told_once_and_kept(text):
+    preferences_file().parent.mkdir(parents=True)
+    preferences_file().write_text(text)
+    session = Session()
+    assert str(preferences_file()) in session.question.text
+    assert session.preferences == Preferences()
+    assert preferences_file().with_name("preferences.bad.yaml").read_text() == text
+    session.close()
+    again = Session()
+    assert again.question is None
+    again.close()
+
+
+def test_a_newer_programs_preferences_are_passed_over():
+    preferences_file().parent.mkdir(parents=True)
+    preferences_file().write_text("theme: light\nholograms: true\n")
+    assert load_preferences() == (Preferences(theme="light"), None)
+
+
+def test_recent_files_are_the_latest_first_and_few():
+    for n in range(MOST + 3):
+        add_recent_file(Path(f"/scenes/{n}"))
+    add_recent_file(Path("/scenes/5"))
+    assert [path.name for path in recent_files()[:3]] == ["5", str(MOST + 2), str(MOST + 1)]
+    assert len(recent_files()) == MOST
+    assert Path("/scenes/5") not in forget_recent_file(Path("/scenes/5"))
+
+
+def test_windows_do_not_lose_each_others_recent_files():
+    def add(first: int) -> None:
+        for n in range(first, first + 3):
+            add_recent_file(Path(f"/scenes/{n}"))
+
+    with ThreadPoolExecutor(3) as windows:  # locks hold between threads as between processes
+        list(windows.map(add, (0, 10, 20)))
+    assert {int(path.name) for path in recent_files()} == {0, 1, 2, 10, 11, 12, 20, 21, 22}

@@ -1,0 +1,1 @@
+"""The panels around the picture, and the table of them."""

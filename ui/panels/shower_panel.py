@@ -1,0 +1,145 @@
+"""The Shower panel: how the rain changes over time."""
+
+from functools import lru_cache
+from typing import Literal
+
+from imgui_bundle import icons_fontawesome_6, imgui
+
+from gsrain_engine.rain.disdrometer.reading import Reading
+from gsrain_engine.rain.measured_weather import MeasuredWeather, from_spectra
+from gsrain_engine.rain.weather import WITHOUT_CHANGE, Weather, passing_shower
+from gsrain_engine.session.session import Session
+
+from ..pages.file_dialogs import ask_what_to_open
+from ..widgets.key_button import toggle_key
+from .rain_panel import WARNING
+from .shower_plot import shower_plot
+from .shower_table import shower_table
+
+_WAYS: tuple[tuple[Literal["linear", "smooth"], str], ...] = (
+    ("linear", "Straight from key to key."),
+    ("smooth", "Rounded, and never beyond the keys on either side (Fritsch and Carlson, 1980)."),
+)
+SERIES_FILES = "Disdrometer files{.nc,.cdf,.dat,.txt,.csv,.log,.mis,.gz},All files{.*}"
+
+
+def shower_panel(session: Session) -> None:
+    """Draw the panel."""
+    _buttons(session)
+    if session.lab.series is not None:
+        _series(session)
+    shower_plot(session)
+    if session.weather.keys:
+        _between(session)
+        shower_table(session)
+    else:
+        imgui.text_wrapped("No keys: the rain stays as it is set. Double click in the plot to set the first one.")
+
+
+def add_shower(session: Session) -> None:
+    """Let a shower pass that begins now; keys of wind and exposure stay."""
+    shower = passing_shower(session.clock.time_s)
+    kept = session.weather.without("intensity_mm_h")
+    for key in kept.keys:
+        values = {name: value for name in ("wind_m_s", "exposure_s") if (value := getattr(key, name)) is not None}
+        shower = shower.with_key(key.time_s, **values)
+    session.set_weather("A shower that passes", shower)
+    session.shower.refit = True
+
+
+def ask_for_series(session: Session) -> None:
+    """Ask for a disdrometer file and read it in the background."""
+    ask_what_to_open("Import a series", SERIES_FILES, lambda paths: session.lab.read_series(paths[0]))
+
+
+def _buttons(session: Session) -> None:
+    now_s = session.clock.time_s
+    present = session.weather.key_at(now_s)
+    is_here = present is not None and present.intensity_mm_h is not None
+    if imgui.button("Remove key###now" if is_here else "Key now###now"):
+        toggle_key(session, "intensity_mm_h")
+    imgui.set_item_tooltip(
+        f"{'Remove the key' if is_here else 'Keep the present intensity as a key'} at the clock's time, {now_s:.2f} s."
+    )
+    _beside("A shower that passes")
+    if imgui.button("A shower that passes"):
+        add_shower(session)
+    imgui.set_item_tooltip("60 s from now on: from 0 to 12 mm/h and back, smooth.")
+    _beside("Import...")
+    imgui.begin_disabled(session.lab.busy is not None)
+    if imgui.button("Import..."):
+        ask_for_series(session)
+    imgui.end_disabled()
+    imgui.set_item_tooltip("Take the rain rates of a disdrometer's file as keys, in mm/h; above 100 they are cut off.")
+    _beside("Fit##shower")
+    if imgui.button(f"{icons_fontawesome_6.ICON_FA_MAXIMIZE}###fit shower"):
+        session.shower.refit = True
+    imgui.set_item_tooltip("Show all keys. Wheel: zoom in time; drag the plot: go along.")
+    _beside("Clear keys")
+    imgui.begin_disabled(not session.weather.keys)
+    if imgui.button("Clear keys"):
+        session.set_weather("Clear the keys", WITHOUT_CHANGE)
+    imgui.end_disabled()
+    imgui.set_item_tooltip("Remove all keys: the rain stays as it is set in the Rain panel.")
+    if session.lab.busy is not None:
+        imgui.text_disabled(session.lab.busy)
+    if session.lab.problem is not None:
+        imgui.push_style_color(imgui.Col_.text, WARNING)
+        imgui.text_wrapped(session.lab.problem)
+        imgui.pop_style_color()
+
+
+def _beside(label: str) -> None:
+    """Go on in the same line if the next button still fits."""
+    style = imgui.get_style()
+    width = imgui.calc_text_size(label, hide_text_after_double_hash=True).x + 2 * style.frame_padding.x
+    right = imgui.get_window_pos().x + imgui.get_window_width() - style.window_padding.x
+    if imgui.get_item_rect_max().x + style.item_spacing.x + width < right:
+        imgui.same_line()
+
+
+def _between(session: Session) -> None:
+    weather = session.weather
+    imgui.align_text_to_frame_padding()
+    imgui.text("Between keys")
+    for choice, help_text in _WAYS:
+        imgui.same_line()
+        if imgui.radio_button(choice, weather.between == choice) and weather.between != choice:
+            session.set_weather(f"Keys {choice}", Weather(keys=weather.keys, between=choice))
+        imgui.set_item_tooltip(help_text)
+
+
+def _series(session: Session) -> None:
+    """Ask how a series that has been read is to be taken."""
+    lab, shower = session.lab, session.shower
+    assert lab.series is not None
+    name, reading = lab.series
+    imgui.separator_text(name)
+    try:
+        measured = _taken(reading, shower.speed_up, shower.start_s)
+    except ValueError as error:
+        lab.series, lab.problem = None, f"{name}: {error}"
+        return
+    imgui.text_wrapped(f"{measured.told}. The heaviest: {measured.weather.heaviest_mm_h(session.rain):.1f} mm/h.")
+    width = 5.5 * imgui.get_font_size()
+    imgui.set_next_item_width(width)
+    flags = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp
+    _, shower.speed_up = imgui.drag_float("times faster", shower.speed_up, 0.5, 1.0, 10_000.0, "%.0f", flags)
+    imgui.set_item_tooltip("Compresses time: at 60 a minute of the series passes in a second of the scene.")
+    imgui.set_next_item_width(width)
+    _, shower.start_s = imgui.drag_float("starts at (s)", shower.start_s, 0.1, -1e6, 1e6, "%.1f")
+    imgui.set_item_tooltip("Time in the scene of the first record, in seconds.")
+    if imgui.button("Use it"):
+        session.set_weather(f"Series {name}", measured.weather)
+        lab.series, shower.refit = None, True
+    imgui.set_item_tooltip("Take the series as the course of the intensity, in place of the present keys.")
+    imgui.same_line()
+    if imgui.button("Cancel##series"):
+        lab.series = None
+    imgui.set_item_tooltip("Leave the weather as it is.")
+    imgui.separator()
+
+
+@lru_cache(maxsize=1)
+def _taken(reading: Reading, speed_up: float, start_s: float) -> MeasuredWeather:
+    return from_spectra(reading, speed_up=speed_up, start_s=start_s)

@@ -1,0 +1,1 @@
+"""The picture and what stands over it."""

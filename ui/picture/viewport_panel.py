@@ -1,0 +1,111 @@
+"""The viewport: the picture, navigation by mouse and keys, outlines of the rain regions, a small toolbar."""
+
+from collections.abc import Callable
+
+from imgui_bundle import ImVec2, ImVec4, imgui
+
+from gsrain_engine.session.session import Session
+from gsrain_engine.session.view.region_outlines import region_outlines
+
+from ..tools import TOOLS
+from .divider import draw_divider
+from .empty_state import empty_state
+from .notice import draw_notice
+from .overlays import OVERLAYS
+from .tool_bar import tool_bar
+from .tool_options import tool_options
+from .view_bar import view_bar
+from .viewport import Viewport
+
+TexturesOf = Callable[[int, int], list[int]]
+"""Draws the session for a size in pixels and returns the OpenGL names of its sides, from left to right."""
+
+_OUTLINE = {"streak region": ImVec4(0.45, 0.85, 1.0, 0.9), "haze region": ImVec4(1.0, 0.8, 0.45, 0.9)}
+_RADIANS_PER_PIXEL = 0.005
+_FAST = 4.0
+_KEYS = {
+    imgui.Key.w: (1, 0, 0), imgui.Key.s: (-1, 0, 0), imgui.Key.d: (0, 1, 0), imgui.Key.a: (0, -1, 0),
+    imgui.Key.e: (0, 0, 1), imgui.Key.q: (0, 0, -1),
+}  # fmt: skip
+
+
+def viewport_panel(session: Session, textures_of: TexturesOf) -> None:
+    """Draw the panel."""
+    view_bar(session)
+    size = imgui.get_content_region_avail()
+    width, height = max(int(size.x), 16), max(int(size.y), 16)
+    corner = imgui.get_cursor_screen_pos()
+    textures = textures_of(width, height)
+    at = round(session.view.divider * width) if len(textures) == 2 else 0
+    if at > 0:
+        imgui.image(imgui.ImTextureRef(textures[0]), ImVec2(at, height), ImVec2(0, 0), ImVec2(at / width, 1))
+        imgui.set_cursor_screen_pos(ImVec2(corner.x + at, corner.y))
+    if at < width:
+        imgui.image(imgui.ImTextureRef(textures[-1]), ImVec2(width - at, height), ImVec2(at / width, 0), ImVec2(1, 1))
+    if len(textures) == 2:
+        draw_divider(session, corner, width, height)
+    imgui.set_cursor_screen_pos(corner)
+    imgui.set_next_item_allow_overlap()
+    flags = imgui.ButtonFlags_.mouse_button_left | imgui.ButtonFlags_.mouse_button_right
+    imgui.invisible_button("view", ImVec2(width, height), flags | imgui.ButtonFlags_.mouse_button_middle)
+    hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
+    viewport = Viewport(corner, width, height, session.shot(width, height), hovered, active)
+    imgui.get_window_draw_list().push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height), True)
+    taken = [overlay(session, viewport) for overlay in OVERLAYS]
+    tool = next((each for each in TOOLS if each.name == session.view.tool), None)
+    is_taken = any(taken) or (tool is not None and tool.draw(session, viewport))
+    _outlines(session, corner, width, height)
+    imgui.get_window_draw_list().pop_clip_rect()
+    _mouse(session, viewport, is_taken)
+    _keyboard(session)
+    tool_bar(session, corner, height)
+    tool_options(session, corner, width)
+    empty_state(session, corner, width, height)
+    draw_notice(session, corner, width, height)
+
+
+def _outlines(session: Session, corner: ImVec2, width: int, height: int) -> None:
+    draw = imgui.get_window_draw_list()
+    for outline in region_outlines(session, width, height):
+        color = imgui.get_color_u32(_OUTLINE[outline.name])
+        for (x0, y0), (x1, y1) in outline.lines_px.tolist():
+            draw.add_line(ImVec2(corner.x + x0, corner.y + y0), ImVec2(corner.x + x1, corner.y + y1), color, 1.5)
+
+
+def _mouse(session: Session, viewport: Viewport, is_taken: bool) -> None:
+    navigation, io = session.navigation, imgui.get_io()
+    if viewport.active:
+        moved = io.mouse_delta
+        if is_taken and imgui.is_mouse_down(imgui.MouseButton_.left):
+            return
+        if moved.x or moved.y:
+            session.stop_riding()
+        if imgui.is_mouse_down(imgui.MouseButton_.left):
+            navigation.orbit(moved.x * _RADIANS_PER_PIXEL, -moved.y * _RADIANS_PER_PIXEL)
+        elif imgui.is_mouse_down(imgui.MouseButton_.right):
+            navigation.turn(-moved.x * _RADIANS_PER_PIXEL, -moved.y * _RADIANS_PER_PIXEL)
+        elif imgui.is_mouse_down(imgui.MouseButton_.middle):
+            navigation.pan(-moved.x / viewport.height, moved.y / viewport.height)
+    if viewport.hovered and io.mouse_wheel:
+        if io.key_ctrl:
+            navigation.change_speed(io.mouse_wheel)
+        else:
+            session.stop_riding()
+            navigation.dolly(io.mouse_wheel)
+
+
+def _keyboard(session: Session) -> None:
+    io = imgui.get_io()
+    if io.want_text_input or not imgui.is_window_hovered(imgui.HoveredFlags_.root_and_child_windows):
+        session.navigation.stop()
+        return
+    pressed = [direction for key, direction in _KEYS.items() if imgui.is_key_down(key)] if not io.key_ctrl else []
+    if not pressed:
+        session.navigation.stop()
+        return
+    session.stop_riding()
+    forward, right, up = (sum(axis) for axis in zip(*pressed, strict=True))
+    fast = _FAST if io.key_shift else 1.0
+    # The frame in which a key went down may have begun long before: nothing moved then.
+    held_s = io.delta_time if session.navigation.is_flying else 0.0
+    session.navigation.fly(fast * forward, fast * right, fast * up, held_s)

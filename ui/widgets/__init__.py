@@ -1,0 +1,1 @@
+"""Pieces that panels and tools are made of."""
