@@ -259,7 +259,7 @@ class Session(EditedDocument):
     def make_rainy(self) -> None:
         """Start the job "Make it rainy (preview)"; one at a time."""
         if not any(isinstance(job, RainyLookJob) for job in self.running_jobs):
-            self.start(RainyLookJob(self.scene, self._files))
+            self.start(RainyLookJob(self.scene, self._files, self.files.known))
 
     def clear_jobs(self) -> None:
         """Forget the jobs that have ended."""

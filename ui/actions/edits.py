@@ -28,6 +28,11 @@ def _has_member(session: Session) -> bool:
     return any(each.key == session.view.member for each in session.scene.members)
 
 
+def _delete(session: Session) -> None:
+    if not session.timeline.takes_keys or session.timeline.key is None:  # there, Delete means the chosen camera key
+        session.edit("Delete the selection", delete_selected)
+
+
 def _duplicate(session: Session) -> None:
     before = {each.key for each in session.scene.members}
     name = session.scene.member(session.view.member).name
@@ -46,7 +51,7 @@ def _follow(session: Session) -> None:
 EDIT_ACTIONS = (
     Action(
         "Delete the selection",
-        lambda session: session.edit("Delete the selection", delete_selected),
+        _delete,
         "Edit",
         chord(_KEY.delete),
         "Delete the selected Gaussians; undo brings them back.",

@@ -80,7 +80,8 @@ def _wheel(session: Session, left: float) -> None:
 
 def _keyboard(session: Session) -> None:
     key = edits.chosen_key(session)
+    session.timeline.takes_keys = imgui.is_window_focused(imgui.FocusedFlags_.child_windows)
     if imgui.get_io().want_text_input or key is None:
         return
-    if imgui.is_window_focused(imgui.FocusedFlags_.child_windows) and imgui.is_key_pressed(imgui.Key.delete):
+    if session.timeline.takes_keys and imgui.is_key_pressed(imgui.Key.delete):
         edits.delete_key(session, key)

@@ -11,11 +11,10 @@ _GAP = 3.0
 _NAVIGATE = icons_fontawesome_6.ICON_FA_ARROW_POINTER
 
 
-def tool_bar(session: Session, corner: ImVec2, height: float) -> None:
-    """Draw the bar over the picture; a click picks a tool, a second one puts it away."""
-    if not TOOLS:
-        return
+def tool_bar(session: Session, corner: ImVec2, height: float) -> float:
+    """Draw the bar over the picture; a click picks a tool, a second one puts it away. Returns how far right it goes."""
     side = 1.9 * imgui.get_font_size()
+    columns = -(-(len(TOOLS) + 1) // max(int((height - 24) / (side + _GAP)), 1))
     imgui.set_cursor_screen_pos(ImVec2(corner.x + 8, corner.y + 8))
     imgui.push_style_color(imgui.Col_.child_bg, (*_panel_color(), 0.82))
     imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(4, 4))
@@ -26,7 +25,6 @@ def tool_bar(session: Session, corner: ImVec2, height: float) -> None:
         if _button(_NAVIGATE, "Navigate", session.view.tool == "", side):
             session.view.tool = ""
         imgui.set_item_tooltip("Navigate: the left button orbits (Esc).")
-        columns = -(-(len(TOOLS) + 1) // max(int((height - 24) / (side + _GAP)), 1))
         for number, tool in enumerate(TOOLS, start=1):
             if number % columns:
                 imgui.same_line()
@@ -37,6 +35,7 @@ def tool_bar(session: Session, corner: ImVec2, height: float) -> None:
     imgui.end_child()
     imgui.pop_style_var(3)
     imgui.pop_style_color()
+    return 8 + columns * (side + _GAP) + 8
 
 
 def _button(icon: str, name: str, is_on: bool, side: float) -> bool:

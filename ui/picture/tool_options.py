@@ -6,15 +6,14 @@ from gsrain_engine.session.session import Session
 
 from ..tools import TOOLS
 
-_LEFT_EM, _PADDING = 2.8, 5.0
+_PADDING = 5.0
 
 
-def tool_options(session: Session, corner: ImVec2, width: float) -> None:
-    """Draw the bar over the picture, to the right of the tools; nothing while no tool is in use."""
+def tool_options(session: Session, corner: ImVec2, left: float, width: float) -> None:
+    """Draw the bar over the picture, from `left` on; nothing while no tool is in use."""
     tool = next((each for each in TOOLS if each.name == session.view.tool), None)
     if tool is None:
         return
-    left = _LEFT_EM * imgui.get_font_size()
     imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + 8))
     color = imgui.get_style_color_vec4(imgui.Col_.window_bg)
     imgui.push_style_color(imgui.Col_.child_bg, (color.x, color.y, color.z, 0.82))

@@ -58,8 +58,8 @@ def viewport_panel(session: Session, textures_of: TexturesOf) -> None:
     imgui.get_window_draw_list().pop_clip_rect()
     _mouse(session, viewport, is_taken)
     _keyboard(session)
-    tool_bar(session, corner, height)
-    tool_options(session, corner, width)
+    left = tool_bar(session, corner, height)
+    tool_options(session, corner, left, width)
     empty_state(session, corner, width, height)
     draw_notice(session, corner, width, height)
 

@@ -1,31 +1,30 @@
 """The job "Make it rainy (preview)" from click to swap: save, solve in another process, load, hand over."""
 
-import shutil
-import tempfile
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gsrain_engine.reconstruct.recolored_file import read_recolored
-from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.formats.known_files import KnownFiles
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
 from ..staged_scene import StagedScene
 from .rainy_look import make_rainy, with_colors
+from .scene_copy import SCENE, copy_scene, remove_copy
 from .worker import Job, JobState
 
 if TYPE_CHECKING:
     from ..session import Session
 
 TITLE = "Make it rainy (preview)"
-_SCENE, _COLORS = "scene", "colors.npz"
+_COLORS = "colors.npz"
 
 
 class RainyLookJob:
     """One run of the job, a `BackgroundJob`."""
 
-    def __init__(self, scene: Scene, files: ThreadPoolExecutor) -> None:
+    def __init__(self, scene: Scene, files: ThreadPoolExecutor, known: KnownFiles) -> None:
         """Start on a scene; `files` is where reading and writing happens."""
         self.title = TITLE
         self.scene = scene
@@ -34,7 +33,7 @@ class RainyLookJob:
         self.error: str | None = None
         self.details: str | None = None
         self._files = files
-        self._saving: Future[Path] | None = files.submit(_save, scene)
+        self._saving: Future[Path] | None = files.submit(copy_scene, scene, known)
         self._folder: Path | None = None
         self._worker: Job | None = None
         self._loading: Future[Scene] | None = None
@@ -47,7 +46,7 @@ class RainyLookJob:
             if self._saving is not None and self._saving.done():
                 folder, self._saving = self._saving.result(), None
                 self._folder = folder
-                self._worker = Job(TITLE, make_rainy, folder / _SCENE, folder / _COLORS)
+                self._worker = Job(TITLE, make_rainy, folder / SCENE, folder / _COLORS)
             if self._worker is not None:
                 self._follow(self._worker)
             if self._loading is not None and self._loading.done():
@@ -86,25 +85,5 @@ class RainyLookJob:
         if self._saving is not None:
             self._saving.cancel()
         # Ending a process and emptying a folder take their time: the window goes on meanwhile.
-        self._files.submit(_clean_up, self._worker, self._saving, self._folder)
+        self._files.submit(remove_copy, self._worker, self._saving, self._folder)
         self._worker = None
-
-
-def _save(scene: Scene) -> Path:
-    folder = Path(tempfile.mkdtemp(prefix="gsrain-"))
-    try:
-        write_scene(scene, folder / _SCENE)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    return folder
-
-
-def _clean_up(worker: Job | None, saving: Future[Path] | None, folder: Path | None) -> None:
-    """Runs after whatever the job had handed to the same thread before."""
-    if worker is not None:
-        worker.close()
-    if saving is not None and not saving.cancelled() and saving.exception() is None:
-        folder = saving.result()
-    if folder is not None:
-        shutil.rmtree(folder, ignore_errors=True)

@@ -1,8 +1,6 @@
 """The job that records: save the document aside, record it in another process, say what came of it."""
 
 import logging
-import shutil
-import tempfile
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -10,12 +8,12 @@ from typing import TYPE_CHECKING
 
 from gsrain_engine.render.recording import Recording
 from gsrain_engine.scene.formats.known_files import KnownFiles
-from gsrain_engine.scene.formats.scene_folder import write_scene_folder
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
 from ..log import told
 from .recorded_project import record_in_worker
+from .scene_copy import SCENE, copy_scene, remove_copy
 from .worker import Job, JobState
 
 if TYPE_CHECKING:
@@ -47,7 +45,7 @@ class RecordingJob:
         self.details: str | None = None
         self._recording, self._files, self._notes = recording, files, tuple(notes)
         self._folder: Path | None = None
-        self._saving: Future[Path] | None = files.submit(_save, scene, known)
+        self._saving: Future[Path] | None = files.submit(copy_scene, scene, known)
         self._worker: Job | None = None
 
     def poll(self, session: "Session") -> None:
@@ -58,7 +56,7 @@ class RecordingJob:
             if self._saving is not None and self._saving.done():
                 saving, self._saving = self._saving, None
                 self._folder = saving.result()
-                self._worker = Job(self.title, record_in_worker, self._folder / "scene", self._recording)
+                self._worker = Job(self.title, record_in_worker, self._folder / SCENE, self._recording)
             if self._worker is not None:
                 self._follow(self._worker)
         except Exception as error:  # whatever a disk can do: the window lives on
@@ -97,26 +95,5 @@ class RecordingJob:
         if self._saving is not None:
             self._saving.cancel()
         # Ending a process and emptying a folder take their time: the window goes on meanwhile.
-        self._files.submit(_clean_up, self._worker, self._saving, self._folder)
+        self._files.submit(remove_copy, self._worker, self._saving, self._folder)
         self._worker = self._saving = None
-
-
-def _save(scene: Scene, known: KnownFiles) -> Path:
-    folder = Path(tempfile.mkdtemp(prefix="gsrain-"))
-    try:
-        write_scene_folder(scene, folder / "scene", known, linking=True, in_drawing_order=True)
-        known.forget(folder / "scene")  # it will be gone soon
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    return folder
-
-
-def _clean_up(worker: Job | None, saving: Future[Path] | None, folder: Path | None) -> None:
-    """Runs after whatever the job had handed to the same thread before."""
-    if worker is not None:
-        worker.close()
-    if saving is not None and not saving.cancelled() and saving.exception() is None:
-        folder = saving.result()
-    if folder is not None:
-        shutil.rmtree(folder, ignore_errors=True)

@@ -66,7 +66,8 @@ class Job:
 
     def _take(self, message: Any) -> None:
         if isinstance(message, Progress):
-            self.progress = message
+            shown = message.preview if message.preview is not None else self.progress.preview
+            self.progress = message._replace(preview=shown)
         elif message is None:
             self.progress = Progress(1.0, "Done")
             self.state = "finished"

@@ -42,6 +42,8 @@ class Timeline:
     ruler: Ruler = field(default_factory=Ruler)
     is_fitted: bool = False
     """Whether the ruler has been set to show the scene's whole time."""
+    takes_keys: bool = False
+    """Whether the panel has the keyboard."""
     asks_for_time: bool = False
     """Whether the panel should let a moment be typed next."""
 
