@@ -1,8 +1,9 @@
 """Takes the pictures of the guide from the running window: `make pictures`. Needs a display, or Xvfb's `xvfb-run`."""
 
+import math
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -21,6 +22,7 @@ from ui.tools import TOOLS
 IMAGES = Path(__file__).parent / "images"
 _SIZE = (1440, 900)
 _QUALITY = 88
+_TOOL_WIDTH = 560
 _MARGIN = 16
 """Pixels that the test engine takes around a window."""
 
@@ -56,8 +58,22 @@ class Photographer:
         for _ in range(count):
             self.ctx.yield_()
 
-    def take(self, name: str, window: str | None = None) -> None:
-        """Picture a window of the program, or all of it, for the guide."""
+    def gesture(self, places: Sequence[tuple[float, float]], *, held: bool) -> None:
+        """Drag through places of the picture and hold there, or click on each of them."""
+        rect = self.ctx.item_info("//View/view").rect_full
+        self.ctx.mouse_move("//View/view")
+        for number, (x, y) in enumerate(places):
+            across, down = x * (rect.max.x - rect.min.x), y * (rect.max.y - rect.min.y)
+            self.ctx.mouse_move_to_pos(imgui.ImVec2(rect.min.x + across, rect.min.y + down))
+            self.frames(2)
+            if not held:
+                self.ctx.mouse_click(0)
+            elif number == 0:
+                self.ctx.mouse_down(0)
+            self.frames(2)
+
+    def take(self, name: str, window: str | None = None, width: int | None = None) -> None:
+        """Picture a window of the program, or all of it, for the guide; at most so wide."""
         self.frames()
         taken = self._folder / f"{name}.png"
         testing.capture(self.ctx, str(taken), window=window)
@@ -65,6 +81,8 @@ class Photographer:
         picture = Image.open(taken).convert("RGB")
         if window is not None:
             picture = picture.crop((_MARGIN, _MARGIN, picture.width - _MARGIN, picture.height - _MARGIN))
+        if width is not None:
+            picture.thumbnail((width, width))
         picture.save(IMAGES / f"{name}.jpg", quality=_QUALITY, optimize=True)
         print(f"docs/images/{name}.jpg")
 
@@ -79,13 +97,39 @@ def picture_panels(camera: Photographer) -> None:
 
 
 def picture_tools(camera: Photographer) -> None:
-    """Each tool as it stands over the picture when it is picked, its pointer in the middle."""
+    """Each tool in use, in the middle of its gesture."""
+    session = camera.session
     camera.ctx.window_focus("//View")
+    session.view.member = "actors/lead"
     for tool in TOOLS:
-        camera.session.view.tool = tool.name
-        camera.ctx.mouse_move("//View/view")
-        camera.take(f"tool_{_file_name(tool.name)}", "View")
-    camera.session.view.tool = ""
+        steps = session.history.cursor
+        session.view.tool = tool.name
+        camera.frames()
+        held, places = _GESTURES.get(tool.name, (False, ()))
+        camera.gesture(places, held=held)
+        camera.take(f"tool_{_file_name(tool.name)}", "View", _TOOL_WIDTH)
+        camera.ctx.mouse_up(0)
+        camera.frames()
+        session.view.tool = ""
+        camera.frames()
+        session.go_to_step(steps)
+
+
+_AROUND_THE_CAR = tuple((0.5 + 0.17 * math.cos(a / 3), 0.62 + 0.14 * math.sin(a / 3)) for a in range(19))
+_GESTURES: dict[str, tuple[bool, tuple[tuple[float, float], ...]]] = {
+    "Rectangle": (True, ((0.38, 0.47), (0.64, 0.75))),
+    "Lasso": (True, _AROUND_THE_CAR),
+    "Polygon": (False, ((0.4, 0.48), (0.6, 0.46), (0.64, 0.72), (0.38, 0.74))),
+    "Brush": (True, ((0.43, 0.58), (0.5, 0.64), (0.57, 0.58))),
+    "Sphere": (True, ((0.5, 0.62), (0.6, 0.62))),
+    "Box": (False, ((0.5, 0.62),)),
+    "Flood": (False, ((0.5, 0.6),)),
+    "Colour pick": (False, ((0.92, 0.85),)),
+    "Measure": (False, ((0.3, 0.85), (0.7, 0.85))),
+    "Level": (False, ((0.3, 0.8), (0.6, 0.9))),
+    "Pick sky colour": (True, ((0.4, 0.12), (0.6, 0.25))),
+}
+"""By tool: whether the button stays down for the picture, and where the mouse goes, in shares of the picture."""
 
 
 def picture_pages(camera: Photographer) -> None:
