@@ -156,9 +156,9 @@ class Window:
 
 
 def _splits() -> list[hello_imgui.DockingSplit]:
-    right = hello_imgui.DockingSplit("MainDockSpace", "RightSpace", imgui.Dir.right, 0.28)
+    right = hello_imgui.DockingSplit("MainDockSpace", "RightSpace", imgui.Dir.right, 0.27)
     right_bottom = hello_imgui.DockingSplit("RightSpace", "RightBottomSpace", imgui.Dir.down, 0.45)
-    bottom = hello_imgui.DockingSplit("MainDockSpace", "BottomSpace", imgui.Dir.down, 0.27)
-    left = hello_imgui.DockingSplit("MainDockSpace", "LeftSpace", imgui.Dir.left, 0.22)
+    bottom = hello_imgui.DockingSplit("MainDockSpace", "BottomSpace", imgui.Dir.down, 0.22)
+    left = hello_imgui.DockingSplit("MainDockSpace", "LeftSpace", imgui.Dir.left, 0.2)
     left_bottom = hello_imgui.DockingSplit("LeftSpace", "LeftBottomSpace", imgui.Dir.down, 0.45)
     return [right, right_bottom, bottom, left, left_bottom]

@@ -13,8 +13,10 @@ from PIL import Image
 
 from app.window import Window
 from gsrain_engine.kernel_cache import use_kernel_cache
+from gsrain_engine.rain.weather import passing_shower
 from gsrain_engine.session.files.open_scene import open_scene
 from gsrain_engine.session.session import Session
+from gsrain_engine.session.timeline.path_files import path_from_drive
 from ui.panels.table import PANELS
 from ui.shortcuts import chord
 from ui.tools import TOOLS
@@ -23,6 +25,8 @@ IMAGES = Path(__file__).parent / "images"
 _SIZE = (1440, 900)
 _QUALITY = 88
 _TOOL_WIDTH = 560
+_MOMENT_S = 5.4
+"""In the middle of the shower and between two cars."""
 _MARGIN = 16
 """Pixels that the test engine takes around a window."""
 
@@ -80,7 +84,10 @@ class Photographer:
         IMAGES.mkdir(exist_ok=True)
         picture = Image.open(taken).convert("RGB")
         if window is not None:
-            picture = picture.crop((_MARGIN, _MARGIN, picture.width - _MARGIN, picture.height - _MARGIN))
+            place = imgui.internal.find_window_by_name(window).rect()
+            left, top = min(place.min.x, _MARGIN), min(place.min.y, _MARGIN)
+            width_px, height_px = place.max.x - place.min.x, place.max.y - place.min.y
+            picture = picture.crop((left, top, left + width_px, top + height_px))
         if width is not None:
             picture.thumbnail((width, width))
         picture.save(IMAGES / f"{name}.jpg", quality=_QUALITY, optimize=True)
@@ -91,6 +98,7 @@ def picture_panels(camera: Photographer) -> None:
     """Each panel, in rain."""
     session = camera.session
     session.set_rain("8.5 mm/h", msgspec.structs.replace(session.rain, intensity_mm_h=8.5))
+    session.view.member = "layers/houses"
     for panel in PANELS:
         camera.ctx.window_focus(f"//{panel.title}")
         camera.take(f"panel_{_file_name(panel.title)}", panel.title)
@@ -133,7 +141,19 @@ _GESTURES: dict[str, tuple[bool, tuple[tuple[float, float], ...]]] = {
 
 
 def picture_pages(camera: Photographer) -> None:
-    """The window as a whole, the command palette, the keyboard page."""
+    """The window as a whole in a shower, the command palette, the keyboard page."""
+    session = camera.session
+    session.make_rainy()
+    while session.running_jobs or session.staged is not None:
+        camera.frames(1)
+    session.set_weather("A shower that passes", passing_shower(duration_s=12.0, peak_mm_h=13.0))
+    path_from_drive(session, every_s=2.0)
+    session.clock.seek(_MOMENT_S)
+    session.ride(True)
+    for panel in ("Layers", "Rain", "Shower", "View"):
+        camera.ctx.window_focus(f"//{panel}")
+    camera.ctx.mouse_move("//View/view")
+    camera.frames(20)
     camera.take("window")
     camera.ctx.key_press(chord(imgui.Key.mod_ctrl, imgui.Key.p))
     camera.take("commands")
@@ -142,6 +162,9 @@ def picture_pages(camera: Photographer) -> None:
     camera.ctx.key_press(imgui.Key.f1)
     camera.take("keys")
     camera.ctx.key_press(imgui.Key.escape)
+    session.prefer(theme="light")
+    camera.take("window_light")
+    session.prefer(theme="dark")
 
 
 def _file_name(title: str) -> str:

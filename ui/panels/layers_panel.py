@@ -40,8 +40,9 @@ def layers_panel(session: Session) -> None:
     _marked.keys = [key for key in _marked.keys if any(each.key == key for each in scene.members)]
     flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_fixed_fit
     if imgui.begin_table("members", 4, flags):
-        imgui.table_setup_column("shown", imgui.TableColumnFlags_.width_fixed)
-        imgui.table_setup_column("locked", imgui.TableColumnFlags_.width_fixed)
+        icon = 1.5 * imgui.get_font_size()
+        imgui.table_setup_column("shown", imgui.TableColumnFlags_.width_fixed, icon)
+        imgui.table_setup_column("locked", imgui.TableColumnFlags_.width_fixed, icon)
         imgui.table_setup_column("name", imgui.TableColumnFlags_.width_stretch)
         imgui.table_setup_column("count", imgui.TableColumnFlags_.width_fixed)
         for title, members in (("Layers", scene.layers), ("Actors", scene.actors)):
@@ -55,8 +56,9 @@ def _group(session: Session, title: str, members: Sequence[Layer | Actor]) -> No
     if not members:
         return
     imgui.table_next_row()
-    imgui.table_set_column_index(2)
-    is_open = imgui.tree_node_ex(title, imgui.TreeNodeFlags_.default_open | imgui.TreeNodeFlags_.no_tree_push_on_open)
+    imgui.table_set_column_index(0)
+    flags = imgui.TreeNodeFlags_.default_open | imgui.TreeNodeFlags_.no_tree_push_on_open
+    is_open = imgui.tree_node_ex(title, flags | imgui.TreeNodeFlags_.label_span_all_columns)
     if is_open:
         for member in members:
             _row(session, member)
@@ -90,7 +92,10 @@ def _icon(icon: str, name: str, help_text: str, *, bright: bool) -> bool:
     color = imgui.Col_.text if bright else imgui.Col_.text_disabled
     imgui.push_style_color(imgui.Col_.text, imgui.get_style_color_vec4(color))
     imgui.push_style_color(imgui.Col_.button, (0.0, 0.0, 0.0, 0.0))
-    clicked = imgui.button(f"{icon}###{name.replace('/', ' ')}")
+    imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(1, imgui.get_style().frame_padding.y))
+    imgui.push_style_var(imgui.StyleVar_.frame_border_size, 0.0)
+    clicked = imgui.button(f"{icon}###{name.replace('/', ' ')}", ImVec2(1.5 * imgui.get_font_size(), 0))
+    imgui.pop_style_var(2)
     imgui.pop_style_color(2)
     imgui.set_item_tooltip(help_text)
     return clicked
