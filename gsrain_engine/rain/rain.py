@@ -54,7 +54,7 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
             ge=0,
             le=100,
             title="Intensity",
-            description="Rainfall intensity R. Calibrated up to 13 mm/h.",
+            description="Rainfall intensity R (eq. 8). Calibrated up to 13 mm/h.",
             extra={"unit": "mm/h"},
         ),
     ] = 0.0
@@ -62,14 +62,14 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         float | None,
         Meta(
             title="Exposure",
-            description="Shutter time T; none takes the camera's own (4 ms by day).",
+            description="Shutter time T (eq. 5); none takes the camera's own (4 ms by day).",
             extra={"unit": "s", "ge": 1e-5, "le": 1.0},
         ),
     ] = None
     seed: Annotated[int, Meta(ge=0, le=2**32 - 1, title="Seed", description="Same seed and time, same drops.")] = 0
 
-    streaks: Annotated[bool, Meta(title="Streaks", description="Draw near drops as streaks.")] = True
-    haze: Annotated[bool, Meta(title="Haze", description="Draw far drops as haze.")] = True
+    streaks: Annotated[bool, Meta(title="Streaks", description="Draw near drops as streaks (eq. 10-12).")] = True
+    haze: Annotated[bool, Meta(title="Haze", description="Draw far drops as haze (eq. 6, 7).")] = True
     roofs: Annotated[
         bool, Meta(title="Roofs", description="Keep rain from under bridges, canopies and trees; looks for them once.")
     ] = False
@@ -100,7 +100,7 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     ] = "density"
     velocity: Annotated[
         Literal["calibration", "atlas"],
-        Meta(title="Fall speed", description="V(D): the calibration's fit, or Atlas 1973."),
+        Meta(title="Fall speed", description="V(D) (eq. 9): the calibration's fit, or Atlas 1973."),
     ] = "calibration"
 
     streak_frame: Annotated[
@@ -125,13 +125,26 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     ] = "fade"
 
     critical_haze_coefficient: Annotated[
-        float, Meta(ge=0.1, le=50, title="Critical haze coefficient", description="phi: drops beyond phi f D are haze.")
+        float,
+        Meta(
+            ge=0.1,
+            le=50,
+            title="Critical haze coefficient",
+            description="phi (eq. 6, 7): drops beyond phi f D are haze.",
+        ),
     ] = 2.0
     max_copies: Annotated[
-        int, Meta(ge=1, le=16, title="Gaussians a streak", description="n_max: at most so many Gaussians a streak.")
+        int,
+        Meta(
+            ge=1,
+            le=16,
+            title="Gaussians a streak",
+            description="n_max (eq. 10-12): at most so many Gaussians a streak.",
+        ),
     ] = 4
     haze_opacity: Annotated[
-        float, Meta(ge=0.001, le=0.5, title="Haze opacity", description="alpha_m: largest alpha of a haze Gaussian.")
+        float,
+        Meta(ge=0.001, le=0.5, title="Haze opacity", description="alpha_m (eq. 7): largest alpha of a haze Gaussian."),
     ] = 0.05
     haze_sigma_m: Annotated[
         float,
@@ -155,7 +168,8 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         float, Meta(ge=0, le=50, title="Haze gain", description="Multiplies the extinction; 1 is physical.")
     ] = 1.0
     streak_gain: Annotated[
-        float, Meta(ge=0, le=50, title="Streak gain", description="Multiplies the streaks' opacity; 1 is physical.")
+        float,
+        Meta(ge=0, le=50, title="Streak gain", description="Multiplies the streaks' opacity (eq. 5); 1 is physical."),
     ] = 1.0
     aperture_mm: Annotated[
         float,
@@ -179,7 +193,9 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     ] = 10.0
     drop_color: Annotated[
         tuple[float, float, float] | None,
-        Meta(title="Drop colour", description="Display colour of a drop; none takes the mean of the scene's sky."),
+        Meta(
+            title="Drop colour", description="Display colour of a drop (eq. 3); none takes the mean of the scene's sky."
+        ),
     ] = None
 
     def __post_init__(self) -> None:

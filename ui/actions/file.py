@@ -66,6 +66,13 @@ FILE_ACTIONS = (
         "Add the layers and actors of other scenes, where they lie in the world (metres).",
     ),
     Action(
+        "Import the built-in street",
+        lambda session: session.files.import_from("street"),
+        "File",
+        help="Add the street's layers and its car to this scene.",
+        is_possible=_has_scene,
+    ),
+    Action(
         "Save",
         lambda session: session.files.save(),
         "File",

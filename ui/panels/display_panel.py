@@ -26,7 +26,7 @@ def display_panel(session: Session) -> None:
     changed, index = imgui.combo("##resolution", view.shrink - 1, ["100 %", "50 %", "33 %"])
     if changed:
         view.shrink = index + 1
-    plain_label("Colors on the GPU", "Fewer bits take less memory and, of large scenes, less time a frame.")
+    plain_label("Colours on the GPU", "Fewer bits take less memory and, of large scenes, less time a frame.")
     imgui.begin_disabled(session.backend != "opengl")
     storages = list(_STORAGES)
     changed, index = imgui.combo("##harmonics", storages.index(view.harmonics), list(_STORAGES.values()))
