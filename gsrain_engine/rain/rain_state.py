@@ -97,7 +97,7 @@ def rain_state(rain: Rain, calibration: Calibration) -> RainState:
         implied_mm_h=drawn,
         table_implied_mm_h=implied,
         extinction_per_m=extinction,
-        visibility_m=float(np.log(20) / extinction) if extinction > 0 else float("inf"),
+        visibility_m=float(np.log(20)) / float(extinction) if extinction > 0 else float("inf"),
         drops=round(density * rain.streak_region.volume_m3),
         haze_gaussians=_haze_gaussians(rain, extinction),
     )

@@ -295,7 +295,8 @@ class Session(EditedDocument):
         self.following.ride(self.scene, self.clock.time_s, self.navigation)
         self.files.poll()
         self._preferences.poll()
-        if self.rain.roofs and (self._roofs is None or self._roofs[0].matter != self.scene.matter):
+        waits = self._roofs is not None and not self._roofs[1].done()  # one search after the other
+        if self.rain.roofs and not waits and (self._roofs is None or self._roofs[0].matter != self.scene.matter):
             self._roofs = self.scene, self._files.submit(roofs_of, self.scene)
         self.lab.poll()
         for job in self.running_jobs:

@@ -16,6 +16,12 @@ def state(**fields):
     return rain_state(Rain(**fields), PUBLISHED)
 
 
+def test_the_faintest_rain_that_can_be_written_is_rain_that_nothing_is_hidden_by():
+    faintest = state(intensity_mm_h=2.2250738585072014e-308)
+    assert faintest.visibility_m == float("inf")
+    assert faintest.drops == 0
+
+
 @pytest.mark.parametrize(
     ("intensity", "density", "shape", "scale", "implied"),
     [(1.2, 271, 9.705, 0.074, 0.80), (8.5, 1190, 7.132, 0.114, 6.59), (12.0, 1710, 10.466, 0.085, 11.03)],

@@ -72,11 +72,8 @@ class RecordingJob:
             self._end("cancelled")
 
     def _follow(self, worker: Job) -> None:
-        shown = self.progress.preview
         worker.poll()
         self.progress = worker.progress
-        if self.progress.preview is None and worker.state == "running":
-            self.progress = self.progress._replace(preview=shown)
         if worker.state == "failed":
             kind, _, sentence = (worker.error or "").partition(": ")
             self.error = sentence if kind in ("OSError", "ValueError") else worker.error
