@@ -246,3 +246,28 @@ def test_the_drop_colour_is_picked_from_the_view(driver):
         assert session.rain.drop_color is None
 
     driver.run(script)
+
+
+def test_the_sky_s_colour_is_picked_from_the_picture_and_given_back(driver):
+    """A rectangle over the sky of the small scene: drops become as blue as it is."""
+
+    def script():
+        session = driver.session
+        driver.ctx.window_focus("//View")
+        session.view.tool = "Pick sky colour"
+        driver.frames(4)
+        corner, width, height = view_corner(driver)
+        driver.ctx.mouse_move_to_pos(imgui.ImVec2(corner.x + 0.4 * width, corner.y + 0.15 * height))
+        driver.frames()
+        driver.ctx.mouse_down(0)
+        driver.frames()
+        driver.ctx.mouse_move_to_pos(imgui.ImVec2(corner.x + 0.6 * width, corner.y + 0.25 * height))
+        driver.frames()
+        driver.ctx.mouse_up(0)
+        driver.until(lambda: session.rain.drop_color is not None)
+        assert session.rain.drop_color == pytest.approx((0.4, 0.6, 0.9), abs=0.1)  # it lets some black through
+        driver.ctx.item_click("//View/**/From the sky again")
+        driver.frames()
+        assert session.rain.drop_color is None
+
+    driver.run(script)
