@@ -5,13 +5,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 import platformdirs
 
-from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import OVERCAST, Rainfall
@@ -37,6 +36,7 @@ from .jobs.recorder import Recorder
 from .jobs.recording_job import RecordingJob
 from .log import LogLines, told
 from .picture.interaction_budget import EXACT, Detail, InteractionBudget
+from .picture.side import Side
 from .picture.sky_pick import SkyPick
 from .question import Answer, Question, nothing
 from .rain_lab import RainLab
@@ -57,14 +57,6 @@ logger = logging.getLogger("gsrain")
 _VIEW_SIZE = (960, 640)  # shape of the picture that home cameras are chosen for
 
 WindowBackend = Literal["auto", "opengl", "cpu"]
-
-
-class Side(NamedTuple):
-    """What one side of the viewport shows."""
-
-    label: str
-    scene: Scene
-    rainfall: Rainfall
 
 
 class Session(EditedDocument):
@@ -125,36 +117,6 @@ class Session(EditedDocument):
         if self._preferences.trouble is not None:
             self.ask(Question("Preferences", self._preferences.trouble, (Answer("OK", nothing),)))
         self._enter_scene()
-
-    # Calibrations
-
-    def use_calibration(self, name: str) -> None:
-        """Let the rain follow another calibration, by name or file; what is wrong with it is kept in `problem`."""
-        try:
-            load_calibration(name)
-        except (ValueError, OSError) as error:
-            self.problem = str(error)
-            logger.error("%s", error)
-        else:
-            self.lab.add_file(name)
-            self.change_rain("Calibration", calibration=name)
-
-    def compare_calibration(self, name: str) -> None:
-        """Show another calibration beside the rain's own; what is wrong with it is kept in `problem`."""
-        try:
-            self.lab.compare_with(name)
-        except (ValueError, OSError) as error:
-            self.problem = str(error)
-            logger.error("%s", error)
-
-    def use_fitted_calibration(self) -> None:
-        """Keep the lab's last fit in a file, and let the rain follow it."""
-        try:
-            path = self.lab.keep_fitted()
-        except OSError as error:
-            self.problem = told("The calibration can't be saved", error)
-        else:
-            self.use_calibration(path)
 
     # Files
 

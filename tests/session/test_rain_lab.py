@@ -10,6 +10,7 @@ from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
+from gsrain_engine.session.calibrations import compare_calibration, use_calibration, use_fitted_calibration
 from gsrain_engine.session.rain_lab import RainLab
 from gsrain_engine.session.session import Session
 
@@ -62,7 +63,7 @@ def test_a_fit_is_kept_and_used(tmp_path, monkeypatch):
     session.lab.fit([tmp_path / "rain0.nc", tmp_path / "rain1.nc"])
     wait(session.lab)
     assert session.lab.problem is None
-    session.use_fitted_calibration()
+    use_fitted_calibration(session)
     assert session.rain.calibration.endswith("rain0.yaml")
     assert session.rain.calibration in session.lab.calibrations
     kept = load_calibration(session.rain.calibration)
@@ -75,11 +76,11 @@ def test_a_fit_is_kept_and_used(tmp_path, monkeypatch):
 
 def test_calibrations_that_are_not_there_are_told(tmp_path):
     session = Session()
-    session.use_calibration(str(tmp_path / "none.yaml"))
+    use_calibration(session, str(tmp_path / "none.yaml"))
     assert "none.yaml" in session.problem
     assert session.rain.calibration == "published"
     session.problem = None
-    session.compare_calibration("nothing")
+    compare_calibration(session, "nothing")
     assert "nothing" in session.problem
     assert session.lab.compared == "published"
     session.close()

@@ -9,12 +9,8 @@ from gsrain_engine.session.edits.cropping import CropBox, box_around, crop
 from gsrain_engine.session.session import Session
 
 from ..picture.viewport import Viewport
-from ..widgets.markers import YELLOW, draw_hint, draw_line, draw_point
-
-_EDGES = [(corner, corner | bit) for corner in range(8) for bit in (1, 2, 4) if not corner & bit]
-_FACES = [(axis, upper) for axis in range(3) for upper in (False, True)]
-_GRIP_PX = 12.0
-_BRIGHT = (1.0, 1.0, 1.0, 1.0)
+from ..widgets.markers import draw_hint
+from .box_faces import Face, draw_box, face_under_mouse, is_pressed
 
 
 @dataclass(slots=True)
@@ -27,24 +23,19 @@ class CropTool:
     help: str = "Drag the faces of the box by their dots, then Apply: what lies outside of it is deleted."
     box: CropBox | None = None
     _scene_name: str = ""
-    _held: tuple[int, bool] | None = None
+    _held: Face | None = None
 
     def draw(self, session: Session, viewport: Viewport) -> bool:
         """Draw the box and let its faces be dragged."""
         box = self._box_of(session.scene)
-        corners = box.corners_m
-        for first, second in _EDGES:
-            draw_line(viewport, corners[first], corners[second])
-        under = self._face_under_mouse(viewport, box) if viewport.hovered else None
-        if under is not None and imgui.is_mouse_clicked(imgui.MouseButton_.left):
+        under = face_under_mouse(viewport, box)
+        if under is not None and is_pressed(viewport):
             self._held = under
         if not imgui.is_mouse_down(imgui.MouseButton_.left):
             self._held = None
         if self._held is not None and viewport.active:
-            self.box = box.pulled(*self._held, *viewport.ray(*viewport.mouse_px))
-        for face in _FACES:
-            is_bright = face in (under, self._held)
-            draw_point(viewport, box.face_m(*face), _BRIGHT if is_bright else YELLOW, 7 if is_bright else 6)
+            self.box = box = box.pulled(*self._held, *viewport.ray(*viewport.mouse_px))
+        draw_box(viewport, box, self._held)
         draw_hint(viewport, "Drag the dots on the faces, then Apply")
         return self._held is not None or under is not None
 
@@ -82,14 +73,6 @@ class CropTool:
         if self.box is None or self._scene_name != scene.name:
             self.box, self._scene_name = box_around(scene), scene.name
         return self.box
-
-    def _face_under_mouse(self, viewport: Viewport, box: CropBox) -> tuple[int, bool] | None:
-        x, y = viewport.mouse_px
-        for face in _FACES:
-            pixel = viewport.pixel(box.face_m(*face))
-            if pixel is not None and abs(pixel[0] - x) < _GRIP_PX and abs(pixel[1] - y) < _GRIP_PX:
-                return face
-        return None
 
 
 _CLAMP = imgui.SliderFlags_.always_clamp

@@ -18,11 +18,12 @@ from gsrain_engine.render.splat_renderer import SplatRenderer
 from gsrain_engine.render.thinning import Thinning
 from gsrain_engine.scene.scene import Scene
 
-from ..session import Session, Side, WindowBackend
+from ..session import Session, WindowBackend
 from ..staged_scene import StagedScene
 from .cpu_picture import CpuPicture
 from .interaction_budget import EXACT, Detail
 from .scene_upload import SceneUpload
+from .side import Side
 from .sky_pick import SkyPick, color_there
 from .sky_watch import SkyWatch
 
