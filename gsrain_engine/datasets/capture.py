@@ -1,56 +1,157 @@
-"""What a data set reader returns: pictures, the cameras that took them, and what else is known about each."""
+"""What a data set reader returns: pictures, the cameras that took them, and what else is known about the place."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, Shaped, UInt8
 
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.track import Track
+
+EGO_HEIGHT_M = 1.5
+"""Height of the ego frame's origin above the road in captures and scenes: a sensor on a car, as the paper has it."""
+
+
+class CaptureError(ValueError):
+    """A capture can't be read, or a file of it; the message names the file and what is wrong."""
+
+
+Source = Shaped[np.ndarray, "..."] | Callable[[], Shaped[np.ndarray, "..."]]
+"""An array of pixels, or a function that reads it: what a view holds, so that a long drive fits into memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """How a picture is bent, as OpenCV describes it: "opencv" (k1 k2 p1 p2 k3 ...) or "fisheye" (k1 k2 k3 k4)."""
+
+    model: Literal["opencv", "fisheye"]
+    coefficients: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        allowed = (4,) if self.model == "fisheye" else (4, 5, 8, 12, 14)
+        if len(self.coefficients) not in allowed:
+            raise ValueError(f"a lens of model {self.model!r} has {allowed} coefficients, not {len(self.coefficients)}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One picture of a capture, with its camera in the world (metres, z up)."""
+    """One picture of a capture, with its camera in the capture's world."""
 
     name: str
     camera: Camera
-    image: UInt8[np.ndarray, "h w 3"]
-    """Display colour (sRGB)."""
+    """Its size is that of the picture, its focal length and centre those of the lens without distortion."""
+    image_source: Source
     time_s: float = 0.0
-    depth: Float32[np.ndarray, "h w"] | None = None
-    """Metres along the view axis at pixel centres; 0 where nothing was measured (the sky)."""
-    normals: Float32[np.ndarray, "h w 3"] | None = None
-    """Unit surface normals in the world, towards the camera; 0 where there is none."""
-    labels: UInt8[np.ndarray, "h w"] | None = None
-    """Semantic classes; 0 where there is none."""
-    mask: Bool[np.ndarray, "h w"] | None = None
-    """Which pixels show the static scene and may be learned from; None means all."""
+    """From the first view of the capture."""
+    sensor: str = ""
+    """Which camera of a rig took it, such as CAM_FRONT; empty where there is only one."""
+    lens: Lens | None = None
+    """What bends the picture, the depth, the labels and the mask; None where lines are straight."""
+    depth_source: Source | None = None
+    normals_source: Source | None = None
+    labels_source: Source | None = None
+    mask_source: Source | None = None
+    sky_source: Source | None = None
 
-    def __post_init__(self) -> None:
+    @property
+    def image(self) -> UInt8[np.ndarray, "h w 3"]:
+        """Display colour (sRGB). Raises `CaptureError` where the file is broken or of another size."""
+        return self._read("image", self.image_source)
+
+    @property
+    def depth(self) -> Float32[np.ndarray, "h w"] | None:
+        """Metres along the view axis at pixel centres; 0 where nothing was measured (the sky)."""
+        return self._read("depth", self.depth_source)
+
+    @property
+    def normals(self) -> Float32[np.ndarray, "h w 3"] | None:
+        """Unit surface normals in the world, towards the camera; 0 where there is none."""
+        return self._read("normals", self.normals_source)
+
+    @property
+    def labels(self) -> UInt8[np.ndarray, "h w"] | None:
+        """Semantic classes; 0 where there is none."""
+        return self._read("labels", self.labels_source)
+
+    @property
+    def mask(self) -> Bool[np.ndarray, "h w"] | None:
+        """Which pixels show the static scene and may be learned from; None means all."""
+        return self._read("mask", self.mask_source)
+
+    @property
+    def sky(self) -> Bool[np.ndarray, "h w"] | None:
+        """Which pixels show the sky."""
+        return self._read("sky", self.sky_source)
+
+    def held(self) -> "View":
+        """Return the view with its arrays in memory; raises `CaptureError` as reading them does."""
+        names = ("image", "depth", "normals", "labels", "mask", "sky")
+        return replace(self, **{f"{name}_source": getattr(self, name) for name in names})
+
+    def _read(self, name: str, source: Source | None) -> Any:
+        array = source() if callable(source) else source
         size = (self.camera.height, self.camera.width)
-        for name in ("image", "depth", "normals", "labels", "mask"):
-            array = getattr(self, name)
-            if array is not None and array.shape[:2] != size:
-                raise ValueError(f"view {self.name!r}: {name} is {array.shape[:2]}, its camera says {size}")
+        if array is not None and array.shape[:2] != size:
+            raise CaptureError(f"view {self.name!r}: {name} is {array.shape[:2]}, its camera says {size}")
+        return array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sweep:
+    """Points that a lidar measured, in the capture's world."""
+
+    time_s: float
+    points_m: Float32[np.ndarray, "p 3"]
+    origin_m: Float64[np.ndarray, "3"]
+    """Where the sensor stood."""
+    intensities: Float32[np.ndarray, " p"] | None = None
+    """As the data set has them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedBox:
+    """An annotated thing over time. Its frame: x forward, y left, z up, origin at the bottom centre."""
+
+    id: str
+    class_name: str
+    size_lwh: tuple[float, float, float]
+    """Metres."""
+    track: Track
+    """Object to the capture's world."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Capture:
-    """Views of one place. Treat the arrays as values: nobody writes into them."""
+    """Views of one place. Treat the arrays as values: nobody writes into them.
+
+    The world of a driving capture has metres, the data set's own axes with z up, and its origin at the ego's first
+    place (so that float32 is fine everywhere). A COLMAP world has the axes and the unit that COLMAP chose.
+    """
 
     name: str
     views: tuple[View, ...]
     points_m: Float64[np.ndarray, "p 3"] | None = None
-    """Points on surfaces (lidar, COLMAP) in the world, where the data set has them."""
+    """Points on surfaces (COLMAP) in the world, where the data set has them."""
     point_colors: UInt8[np.ndarray, "p 3"] | None = None
     """Display colour of each point."""
+    sweeps: tuple[Sweep, ...] = ()
+    boxes: tuple[TrackedBox, ...] = ()
+    ego: Track | None = None
+    """Where the vehicle drives: x forward, y left, z up, origin `EGO_HEIGHT_M` above the road."""
+    is_metric: bool = True
+    """Whether lengths are metres; else their unit is unknown."""
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Upward direction in the world's axes."""
+    problems: tuple[str, ...] = ()
+    """What was left out and why, a sentence each: the rest is used."""
 
     def __post_init__(self) -> None:
         names = [view.name for view in self.views]
-        doubled = {name for name in names if names.count(name) > 1}
+        doubled = {name for name in names if names.count(name) > 1} if len(set(names)) < len(names) else set[str]()
         if doubled:
-            raise ValueError(f"capture {self.name!r} has several views named {sorted(doubled)[0]!r}")
+            raise CaptureError(f"capture {self.name!r} has several views named {sorted(doubled)[0]!r}")
 
     def __len__(self) -> int:
         return len(self.views)
@@ -63,6 +164,13 @@ class Capture:
 
     @property
     def has(self) -> frozenset[str]:
-        """Which optional fields every view has: depth, normals, labels, mask."""
-        optional = [f.name for f in fields(View) if f.name in ("depth", "normals", "labels", "mask")]
-        return frozenset(name for name in optional if all(getattr(view, name) is not None for view in self.views))
+        """Which optional pixels every view has: depth, normals, labels, mask, sky."""
+        optional = ("depth", "normals", "labels", "mask", "sky")
+        return frozenset(
+            name for name in optional if all(getattr(view, f"{name}_source") is not None for view in self.views)
+        )
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the cameras, in the order of their first views."""
+        return tuple(dict.fromkeys(view.sensor for view in self.views))

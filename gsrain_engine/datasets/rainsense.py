@@ -7,6 +7,7 @@ timestamps.txt (IVtest-Lab/RainSense, doi 10.5281/zenodo.17231190).
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,7 @@ from jaxtyping import Float64, UInt8
 
 from gsrain_engine.scene.camera import Camera, look_at
 
-from .capture import Capture, View
+from .capture import Capture, Lens, View
 
 CAMERA_HEIGHT_M = 1.5
 """Assumed, for the files don't tell it: the height of a sensor on a car, as the paper has it."""
@@ -51,9 +52,12 @@ class RainSequence:
         return self._read(number, cv2.IMREAD_GRAYSCALE)
 
     def capture(self, numbers: Sequence[int] | None = None) -> Capture:
-        """Read some pictures, or all, as a capture; lens distortion stays in."""
+        """Some pictures, or all, as a capture; they are read when they are asked for."""
         chosen = range(len(self)) if numbers is None else numbers
-        views = (View(self.images[k].stem, self.camera, self.picture(k), self.times_s[k]) for k in chosen)
+        lens = Lens("opencv", tuple(self.distortion.tolist()))
+        views = (
+            View(self.images[k].stem, self.camera, partial(self.picture, k), self.times_s[k], lens=lens) for k in chosen
+        )
         return Capture(self.name, tuple(views))
 
     def _read(self, number: int, mode: int) -> UInt8[np.ndarray, "..."]:

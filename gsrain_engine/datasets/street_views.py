@@ -119,12 +119,13 @@ class StreetViews:
         return View(
             name=name,
             camera=camera,
-            image=image,
+            image_source=image,
             time_s=time_s,
-            depth=np.where(solid, depth, 0).astype(np.float32),
-            normals=np.where(solid[..., None], np.where(away, -normal, normal), 0).astype(np.float32),
-            labels=label,
-            mask=mask,
+            depth_source=np.where(solid, depth, 0).astype(np.float32),
+            normals_source=np.where(solid[..., None], np.where(away, -normal, normal), 0).astype(np.float32),
+            labels_source=label,
+            mask_source=mask,
+            sky_source=label == Label.SKY,
         )
 
     def _image(self, camera: Camera, pose: Float64[np.ndarray, "4 4"] | None) -> UInt8[np.ndarray, "h w 3"]:

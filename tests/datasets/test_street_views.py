@@ -126,7 +126,7 @@ def test_captures_have_everything(surfaces: StreetSurfaces) -> None:
     pose = look_at(np.array([0.0, -1.7, 1.5]), np.array([10.0, -3.0, 1.5]), UP)
     camera = Camera(96, 64, 100.0, 100.0, 48.0, 32.0, pose)
     capture = capture_street([camera, replace(camera, fx=80.0, fy=80.0)], [0.0, 0.5], surfaces, with_lead=False)
-    assert capture.has == {"depth", "normals", "labels", "mask"}
+    assert capture.has == {"depth", "normals", "labels", "mask", "sky"}
     assert [view.time_s for view in capture] == [0.0, 0.5]
     assert all(view.mask is not None and view.mask.all() for view in capture)
 
