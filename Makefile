@@ -16,7 +16,7 @@ demo: setup
 		echo "The video is at $(CURDIR)/$(OUT)/demo.mp4 (no display here; with one, make demo opens the window)"; \
 	fi
 
-test: setup lint
+test: setup $(VENV)/.installed-jobs lint
 	$(RUN)/python -m pytest
 
 lint: setup
@@ -34,6 +34,13 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "GSRAIN needs Python 3.11 or newer: make PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
 	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	@touch $@
+
+# Training needs torch; its own index has a build for processors that is ten times smaller than the registry's.
+$(VENV)/.installed-jobs: $(VENV)/.installed
+	$(RUN)/pip install --quiet --disable-pip-version-check --retries 0 --timeout 10 \
+		--extra-index-url https://download.pytorch.org/whl/cpu -c constraints.txt torch
+	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev,jobs,waymo]"
 	@touch $@
 
 system:

@@ -70,6 +70,11 @@ class History:
         return self._steps[max(0, self._cursor - 1)].document
 
     @property
+    def gesture(self) -> str | None:
+        """The gesture that the present step belongs to, while it goes on."""
+        return self._steps[self._cursor].gesture
+
+    @property
     def undo_label(self) -> str | None:
         """What undo would take back; None at the beginning."""
         return self._steps[self._cursor].label if self._cursor > 0 else None

@@ -1,19 +1,30 @@
 """Background jobs: a generator of `Progress` in a process of its own, watched from the main thread without waiting.
 
-Small messages travel through a pipe; results travel as files. A worker that dies is a failed job, nothing more.
+Small messages travel through a pipe, the newest picture through shared memory; results travel as files. A worker that
+dies is a failed job, nothing more. Workers yield the processor to the window.
 """
 
 import multiprocessing
+import signal
 import traceback
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from typing import Any, Literal
 
+import psutil
+
 from gsrain_engine.scene.progress import Progress
+
+from .shared_picture import SharedPicture
 
 JobState = Literal["running", "finished", "failed", "cancelled"]
 Work = Callable[..., Iterator[Progress]]
 """A function at the top level of a module: it is found again by its name in the new process."""
+
+_NICENESS = 10
+"""On POSIX systems: the window's frames come first, and a worker has all that they leave."""
+
+_OUT_OF_MEMORY = "the machine ran out of memory: close other programs, or work with smaller images or fewer Gaussians"
 
 
 class Job:
@@ -29,7 +40,9 @@ class Job:
         """What went wrong, as one line; `details` has the rest."""
         self.details: str | None = None
         self._messages, theirs = context.Pipe(duplex=False)
-        self._process = context.Process(target=_run, args=(theirs, work, arguments), daemon=True)
+        self._picture = SharedPicture()
+        arguments = (theirs, self._picture.name, work, arguments)
+        self._process = context.Process(target=_run, args=arguments, daemon=True)
         self._process.start()
         theirs.close()
 
@@ -48,7 +61,9 @@ class Job:
         except (EOFError, OSError):
             self._process.join(timeout=1.0)
             if self.state == "running":
-                self._fail(f"the worker died (exit code {self._process.exitcode})", None)
+                self._fail(_death(self._process.exitcode), None)
+        if (pixels := self._picture.take()) is not None:
+            self.progress = self.progress._replace(preview=pixels)
 
     def cancel(self) -> None:
         """Tell the worker to stop, without waiting for it; whatever it had not finished is dropped."""
@@ -63,13 +78,13 @@ class Job:
             self._process.kill()
             self._process.join()
         self._messages.close()
+        self._picture.close()
 
     def _take(self, message: Any) -> None:
         if isinstance(message, Progress):
-            shown = message.preview if message.preview is not None else self.progress.preview
-            self.progress = message._replace(preview=shown)
+            self.progress = message._replace(preview=self.progress.preview)
         elif message is None:
-            self.progress = Progress(1.0, "Done")
+            self.progress = Progress(1.0, "Done", self.progress.preview)
             self.state = "finished"
         else:
             self._fail(*message)
@@ -78,13 +93,35 @@ class Job:
         self.state, self.error, self.details = "failed", error, details
 
 
-def _run(messages: Connection, work: Work, arguments: tuple[Any, ...]) -> None:
+def _death(exit_code: int | None) -> str:
+    """Say what ended a process that had nothing to say itself."""
+    if exit_code is not None and exit_code == -getattr(signal, "SIGKILL", 9):
+        return f"the worker was killed: by hand, or because {_OUT_OF_MEMORY}"
+    return f"the worker died (exit code {exit_code})"
+
+
+def _run(messages: Connection, picture_name: str, work: Work, arguments: tuple[Any, ...]) -> None:
     """Do the work in the new process: Progress for each step, None at the end, (line, traceback) when it fails."""
+    if psutil.POSIX:
+        psutil.Process().nice(_NICENESS)
+    picture = SharedPicture(picture_name)
     try:
         for progress in work(*arguments):
-            messages.send(progress)
+            if progress.preview is not None:
+                picture.write(progress.preview)
+            messages.send(progress._replace(preview=None))
         messages.send(None)
+    except BrokenPipeError:
+        pass  # nobody is interested any more
     except Exception as error:
-        messages.send((f"{type(error).__name__}: {error}", traceback.format_exc()))
+        messages.send((_sentence(error), traceback.format_exc()))
     finally:
+        picture.close()
         messages.close()
+
+
+def _sentence(error: Exception) -> str:
+    """What went wrong, for a person: torch tells of missing memory as a RuntimeError."""
+    if isinstance(error, MemoryError) or "out of memory" in str(error) or "can't allocate memory" in str(error):
+        return f"{_OUT_OF_MEMORY} ({error or type(error).__name__})"
+    return f"{type(error).__name__}: {error}"

@@ -2,11 +2,15 @@
 
 import os
 import signal
+import time
 from multiprocessing.connection import wait as wait_for
 
+import numpy as np
+import psutil
 import pytest
 
 from gsrain_engine.scene.progress import Progress
+from gsrain_engine.session.jobs.shared_picture import SharedPicture
 from gsrain_engine.session.jobs.worker import Job
 
 
@@ -29,6 +33,34 @@ def dying():
 def endless():
     while True:
         yield Progress(0.5, "still at it")
+
+
+def hungry():
+    yield Progress(0.1, "about to ask for more than there is")
+    np.ones(1 << 62, np.uint8)
+
+
+def deaf():
+    """Work without a yield, in compiled code that never looks at signals."""
+    yield Progress(0.5, "multiplying")
+    matrix = np.ones((20_000, 2_000), np.float32)
+    while True:
+        matrix @ matrix.T
+
+
+def showing():
+    for k in range(3):
+        yield Progress(k / 3, "painting", np.full((40, 30, 3), 10 * (k + 1), np.uint8))
+    yield Progress(0.9, "thinking")
+
+
+def painting_large():
+    yield Progress(0.5, "painting", np.full((3000, 4000, 3), 7, np.uint8))
+
+
+def telling_its_niceness(path):
+    yield Progress(0.5, "looking")
+    path.write_text(str(psutil.Process().nice()))
 
 
 def finish(job):
@@ -58,7 +90,72 @@ def test_a_dead_worker_is_a_failed_job():
     job = Job("Die", dying)
     finish(job)
     assert job.state == "failed"
-    assert "the worker died" in job.error
+    assert "the worker was killed" in job.error
+    assert "memory" in job.error
+    job.close()
+
+
+def test_missing_memory_is_told_in_a_sentence():
+    job = Job("Hungry", hungry)
+    finish(job)
+    assert job.state == "failed"
+    assert job.error.startswith("the machine ran out of memory: close other programs")
+    assert "in hungry" in job.details
+    job.close()
+
+
+def test_the_newest_picture_arrives_and_stays():
+    job = Job("Show", showing)
+    finish(job)
+    assert job.progress.preview.shape == (40, 30, 3)
+    assert (job.progress.preview == 30).all()
+    job.close()
+
+
+def test_a_large_picture_arrives_smaller():
+    job = Job("Paint", painting_large)
+    finish(job)
+    height, width = job.progress.preview.shape[:2]
+    assert width * height <= 1024 * 768
+    assert abs(width / height - 4 / 3) < 0.01
+    assert (job.progress.preview == 7).all()
+    job.close()
+
+
+def test_two_slots_never_show_half_a_picture():
+    ours = SharedPicture()
+    theirs = SharedPicture(ours.name)
+    assert ours.take() is None
+    for value in (1, 2, 3):
+        theirs.write(np.full((8, 6, 3), value, np.uint8))
+    assert (ours.take() == 3).all()
+    assert ours.take() is None  # it was taken already
+    theirs.write(np.full((4, 4, 3), 9, np.uint8))
+    theirs._numbers()[1 + 3 * (4 % 2)] = 0  # as while it is being written
+    assert ours.take() is None
+    theirs.close()
+    ours.close()
+    ours.close()
+
+
+@pytest.mark.skipif(not psutil.POSIX, reason="niceness is POSIX's")
+def test_workers_come_after_the_window(tmp_path):
+    job = Job("Nice", telling_its_niceness, tmp_path / "nice")
+    finish(job)
+    assert int((tmp_path / "nice").read_text()) > psutil.Process().nice()
+    job.close()
+
+
+def test_cancel_ends_the_process_within_a_second_wherever_it_is():
+    job = Job("Deaf", deaf)
+    while job.progress.message != "multiplying":
+        wait_for([job.waitable], timeout=30)
+        job.poll()
+    started = time.perf_counter()
+    job.cancel()
+    assert not job._process.join(timeout=1.0)
+    assert job._process.exitcode is not None
+    assert time.perf_counter() - started < 1
     job.close()
 
 
@@ -70,6 +167,7 @@ def test_cancel_stops_a_job_that_would_go_on_for_ever():
     assert job.state == "cancelled"
     job.poll()
     assert job.state == "cancelled"
+    job.close()
 
 
 @pytest.mark.parametrize("times", [1, 2])
@@ -78,3 +176,4 @@ def test_cancel_may_come_at_once_and_twice(times):
     for _ in range(times):
         job.cancel()
     assert job.state == "cancelled"
+    job.close()
