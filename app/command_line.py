@@ -21,11 +21,13 @@ app.default(view)
 # Named, not imported: each loads what it needs when it runs, so that the window stands at once.
 COMMANDS = {
     "render": "Render a scene in its rain: a still, a video, frames, or raw floats.",
-    "info": "Print counts, bounds, spherical harmonics, units and memory of a scene.",
+    "info": "Print what is in a scene or a capture; --check looks for broken pictures and wrong poses.",
     "convert": "Convert between scene formats.",
     "street": "Write the built-in street: scene, tracks, camera rig, images with depth, normals and labels.",
     "calibrate": "Fit a rain calibration to disdrometer files: drop numbers, sizes and speeds by intensity.",
     "disdrometer": "Hold a virtual disdrometer into the simulated rain, and compare with what was asked for.",
+    "reconstruct": "Fit Gaussians to a capture: images with cameras, and lidar or COLMAP points where it has them.",
+    "recolor": "Re-optimize a scene's colours to pictures of it in another look; its geometry stays.",
     "doctor": "Look for everything that GSRAIN can use, and say what is missing.",
 }
 for name, summary in COMMANDS.items():

@@ -6,6 +6,7 @@ import moderngl
 from imgui_bundle import hello_imgui, imgui
 
 from gsrain_engine.rain.rain import Rain
+from gsrain_engine.session.capture.capture_textures import CaptureTextures
 from gsrain_engine.session.jobs.job_previews import JobPreviews
 from gsrain_engine.session.picture.live_view import LiveView
 from gsrain_engine.session.session import Session, WindowBackend
@@ -50,6 +51,7 @@ class Workspace:
         self.session = session
         self.view = LiveView(context, session, backend)
         self._previews = JobPreviews(context)
+        self._captures = CaptureTextures(context)
         self._palette = CommandPalette()
         self._pace = Pace()
         self._last_problem = ""
@@ -80,6 +82,7 @@ class Workspace:
         session = self.session
         session.update(self._pace.step(imgui.get_io().delta_time))
         self._previews.update(session)
+        self._captures.update(session)
         idling = hello_imgui.get_runner_params().fps_idling
         resting = not (session.clock.playing or session.is_working or session.budget.is_settling)
         idling.enable_idling = resting and self.view.is_settled and not self.view.is_catching_up
@@ -109,6 +112,7 @@ class Workspace:
     def _textures(self, width: int, height: int) -> list[int]:
         try:
             textures = self.view.draw(width, height)
+            self._captures.draw_points(self.session, self.session.shot(width, height).camera)
         except Exception as problem:  # whatever a driver or a scene does: say it once, keep picture and window
             if str(problem) != self._last_problem:
                 self._last_problem = str(problem)

@@ -1,9 +1,9 @@
 """Does the picture stall when other Gaussians take a scene's place? Prints JSON, then a line.
 
 A scene of random Gaussians is drawn frame by frame by a turning camera that sees a small part of it. Meanwhile its
-Gaussians are swapped as jobs do it: for as many in other colours, for a number of others, and back by undo. A frame is
-what a window would wait for: the session's update, drawing, and the picture in its texture. Beside its wall time stands
-the processor's time of all threads, which other programs on the same cores disturb less.
+Gaussians are swapped as jobs do it: for as many in other colours, for a number of others, and back by undo; then they
+get wet colours. A frame is what a window would wait for: the session's update, drawing, and the picture in its texture.
+Beside its wall time stands the processor's time of all threads, which other programs on the same cores disturb less.
 """
 
 import argparse
@@ -11,7 +11,7 @@ import json
 import time
 from dataclasses import replace
 from statistics import median
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import moderngl
 import numpy as np
@@ -19,7 +19,7 @@ import numpy as np
 from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.render.context import open_context
 from gsrain_engine.render.machine import machine
-from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
+from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE
 from gsrain_engine.scene.random_scene import random_scene, random_scene_camera
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.picture.live_view import LiveView
@@ -106,7 +106,7 @@ def with_degree(scene: Scene, degree: int) -> Scene:
 def measured(
     context: moderngl.Context, scene: Scene, backend: WindowBackend, rain: str, size: tuple[int, int], *, budget: bool
 ) -> list[dict[str, object]]:
-    """Times of three swaps with one back end and rain."""
+    """Times of four swaps with one back end and rain."""
     session = Session(scene, load_preset(rain))
     session.clock.playing = False
     session.navigation.look_like(random_scene_camera(scene, *size))
@@ -117,12 +117,18 @@ def measured(
     g = scene.layers[0].gaussians
     colors = g.with_sh((g.sh * np.float32(0.8)).astype(np.float32))
     fewer = g.take(np.flatnonzero(np.arange(len(g)) % 10))
+    swaps: list[tuple[str, dict[str, Any] | None]] = [
+        ("other colours", {"gaussians": colors}),
+        ("other count", {"gaussians": fewer}),
+        ("undo", None),
+        ("wet colours", {"wet_sh": g.sh * np.float32(0.5)}),
+    ]
     rows: list[dict[str, object]] = []
     try:
-        for swap, gaussians in (("other colours", colors), ("other count", fewer), ("undo", None)):
+        for swap, fields in swaps:
             turning.settle()
             before = [turning.frame() for _ in range(_BEFORE)]
-            during = costs_of_swap(turning, gaussians)
+            during = costs_of_swap(turning, fields)
             row: dict[str, object] = {"backend": backend, "rain": rain, "swap": swap, "frames": len(during)}
             for number, clock in enumerate(FrameCost._fields):
                 calm, swapping = ([cost[number] for cost in costs] for costs in (before, during))
@@ -138,13 +144,14 @@ def measured(
     return rows
 
 
-def costs_of_swap(turning: Turning, gaussians: Gaussians | None) -> list[FrameCost]:
-    """Costs of all frames from the moment a swap begins (none is undo) until some frames after its end."""
+def costs_of_swap(turning: Turning, fields: dict[str, Any] | None) -> list[FrameCost]:
+    """Costs of all frames from the moment a swap of a layer's fields begins (none is undo) until some after its end."""
     session = turning.session
-    if gaussians is None:
+    if fields is None:
         session.undo()
     else:
-        session.stage(StagedScene("swap", session.scene.with_member(session.scene.members[0].key, gaussians=gaussians)))
+        changed = session.scene.with_member(session.scene.members[0].key, **fields)
+        session.stage(StagedScene("swap", changed, only_wet_colors="wet_sh" in fields))
     costs: list[FrameCost] = []
     until, after = time.perf_counter() + _LONGEST_S, 0
     while after < _AFTER and time.perf_counter() < until:

@@ -12,6 +12,9 @@ layout(std430, binding = 0) readonly buffer Means { vec4 means_opacities[]; };
 layout(std430, binding = 1) readonly buffer Scales { float scales[]; };         // 3 a Gaussian
 layout(std430, binding = 2) readonly buffer Rotations { vec4 quaternions[]; };  // w x y z
 layout(std430, binding = 3) readonly buffer Harmonics { uint harmonics[]; };    // as SH_BITS says
+#ifdef WET
+layout(std430, binding = 12) readonly buffer WetHarmonics { uint wet_harmonics[]; };  // when soaked, in the same storage
+#endif
 layout(std430, binding = 6) readonly buffer Marks { uvec2 marks[]; };           // bits of 32 Gaussians: left out, selected
 
 uniform uint count;
@@ -25,6 +28,9 @@ uniform float growth;             // of each Gaussian, where others are left out
 uniform float layer_opacity;      // multiplies each Gaussian's own
 uniform mat4x3 color_change;      // of display colours, affine
 uniform bool has_marks;
+#ifdef WET
+uniform float wetness;            // 0 clear, 1 soaked; above 0 only where there are wet harmonics
+#endif
 uniform int look;                 // 0 the picture, else LOOK_*
 
 const int LOOK_POINTS = 1, LOOK_NORMALS = 2, LOOK_OPACITY = 3, LOOK_LAYERS = 4;
@@ -37,36 +43,52 @@ mat3 rotation_matrix(vec4 q) {    // columns are the Gaussian's axes
         2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
 }
 
-// Harmonic k of Gaussian i. Storage: 32-bit floats; halves, rows padded to an even number; or the first harmonic as
+uint stored(uint at, bool wet) {
+#ifdef WET
+    if (wet) return wet_harmonics[at];
+#endif
+    return harmonics[at];
+}
+
+// Harmonic k of Gaussian i, clear or wet. Storage: 32-bit floats; halves, rows padded to an even number; or the first harmonic as
 // halves with a half that scales the others, which are signed bytes, rows padded to whole words.
 #if SH_BITS == 32
-vec3 harmonic(uint i, int k) {
+vec3 harmonic(uint i, int k, bool wet) {
     uint at = 3u * (i * uint(coefficients) + uint(k));
-    return vec3(uintBitsToFloat(harmonics[at]), uintBitsToFloat(harmonics[at + 1u]), uintBitsToFloat(harmonics[at + 2u]));
+    return vec3(
+        uintBitsToFloat(stored(at, wet)), uintBitsToFloat(stored(at + 1u, wet)), uintBitsToFloat(stored(at + 2u, wet)));
 }
 #elif SH_BITS == 16
-vec3 harmonic(uint i, int k) {
+vec3 harmonic(uint i, int k, bool wet) {
     uint at = i * uint((3 * coefficients + 1) / 2) + uint(3 * k / 2);
-    vec2 first = unpackHalf2x16(harmonics[at]), second = unpackHalf2x16(harmonics[at + 1u]);
+    vec2 first = unpackHalf2x16(stored(at, wet)), second = unpackHalf2x16(stored(at + 1u, wet));
     return (k & 1) == 0 ? vec3(first, second.x) : vec3(first.y, second);
 }
 #else
-float signed_byte(uint base, int n) {
-    return float(bitfieldExtract(int(harmonics[base + uint(n >> 2)]), 8 * (n & 3), 8));
+float signed_byte(uint base, int n, bool wet) {
+    return float(bitfieldExtract(int(stored(base + uint(n >> 2), wet)), 8 * (n & 3), 8));
 }
-vec3 harmonic(uint i, int k) {
+vec3 harmonic(uint i, int k, bool wet) {
     uint base = i * uint(2 + (3 * coefficients) / 4);
-    vec2 last = unpackHalf2x16(harmonics[base + 1u]);
-    if (k == 0) return vec3(unpackHalf2x16(harmonics[base]), last.x);
+    vec2 last = unpackHalf2x16(stored(base + 1u, wet));
+    if (k == 0) return vec3(unpackHalf2x16(stored(base, wet)), last.x);
     int n = 3 * (k - 1);
-    return last.y * vec3(signed_byte(base + 2u, n), signed_byte(base + 2u, n + 1), signed_byte(base + 2u, n + 2));
+    base += 2u;
+    return last.y * vec3(signed_byte(base, n, wet), signed_byte(base, n + 1, wet), signed_byte(base, n + 2, wet));
 }
 #endif
 
 vec3 display_color(uint i, vec3 mean) {
     vec3 direction = normalize(mean - camera_in_object);
     vec3 color = vec3(0.5);
-    for (int k = 0; k < coefficients; ++k) color += sh_basis(k, direction) * harmonic(i, k);
+    for (int k = 0; k < coefficients; ++k) color += sh_basis(k, direction) * harmonic(i, k, false);
+#ifdef WET
+    if (wetness > 0.0) {
+        vec3 soaked = vec3(0.5);
+        for (int k = 0; k < coefficients; ++k) soaked += sh_basis(k, direction) * harmonic(i, k, true);
+        color = (1.0 - wetness) * color + wetness * soaked;
+    }
+#endif
     return max(color_change * vec4(color, 1.0), 0.0);
 }
 

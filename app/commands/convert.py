@@ -7,6 +7,7 @@ from cyclopts import Parameter
 
 from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.formats.scene_files import names_scene_folder
+from gsrain_engine.scene.wet_colors import with_wetness_baked
 from gsrain_engine.session.files.open_scene import open_scene
 
 from .marked import marked, marked_text
@@ -16,9 +17,20 @@ def convert(
     source: Annotated[str, Parameter(help="Scene file or folder: .ply .compressed.ply .splat .spz .ksplat .sog.")],
     target: Annotated[Path, Parameter(help="File to write (.ply .splat .spz), or a folder for a scene folder.")],
     /,
+    *,
+    wetness: Annotated[
+        float | None,
+        Parameter(help="Write the colours of a wetness, 0 clear to 1 soaked; a single file is clear without it."),
+    ] = None,
 ) -> None:
     """Convert a scene. A single file gets all visible layers, and actors where they stand at time 0."""
+    if wetness is not None and not 0 <= wetness <= 1:
+        raise ValueError(f"--wetness {wetness:g}: must be within 0..1")
     scene = open_scene(source)
+    if wetness is not None:
+        if all(each.wet_sh is None for each in scene.members):
+            raise ValueError(f"--wetness {wetness:g}: {source} has no wet colours; gsrain recolor makes them")
+        scene = with_wetness_baked(scene, wetness)
     write_scene(scene, target)
     if names_scene_folder(target):
         print(f"{target}: {scene.gaussian_count:,} Gaussians{marked_text(marked(scene.members))}")

@@ -22,7 +22,7 @@ class Finding(NamedTuple):
 def doctor(*, json: JsonFile = None) -> int:
     """Look for everything that GSRAIN can use. Exit code 1 when something that it needs is missing."""
     needed = [_opengl(), _video(), _threads()]
-    optional = [_osmesa(), _display(), _module("torch", "heavy jobs", "jobs"), _cuda(), _gsplat()]
+    optional = [_osmesa(), _display(), _module("torch", "heavy jobs", "jobs"), _cuda(), _gsplat(), _lpips()]
     for finding in (*needed, *optional):
         mark = "ok     " if finding.found else ("MISSING" if finding in needed else "absent ")
         print(f"{mark} {finding.name}: {finding.what}")
@@ -123,3 +123,21 @@ def _gsplat() -> Finding:
             return f"--backend cuda draws on {device_of(renderer)}"
 
     return _tried("gsplat (draws on GPUs without a graphics pipeline)", device, "")
+
+
+def _lpips() -> Finding:
+    def networks() -> str:
+        from gsrain_engine.evaluate.lpips_weights import find_lpips_weights
+
+        found: list[str] = []
+        for network, name in (("vgg", "VGG16"), ("alex", "AlexNet")):
+            try:
+                find_lpips_weights(network)
+                found.append(name)
+            except FileNotFoundError as error:
+                trouble = error
+        if not found:
+            raise trouble
+        return " and ".join(found)
+
+    return _tried("LPIPS weights (a quality measure of reports)", networks, "")

@@ -1,5 +1,6 @@
-"""`gsrain info SCENE`: what is in a scene."""
+"""`gsrain info SCENE|CAPTURE`: what is in a scene or a capture."""
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -7,22 +8,34 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
+from gsrain_engine.datasets.open_capture import capture_format
 from gsrain_engine.scene.bounds import bounds
+from gsrain_engine.scene.formats.gaussian_files import format_of
 from gsrain_engine.scene.members import Actor, Layer
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.files.open_scene import open_scene
+from gsrain_engine.session.files.open_scene import is_built_in, open_scene, scene_folder_of
 
 from .arguments import JsonFile, write_numbers
+from .capture_info import capture_info
 from .marked import marked, marked_text
 
 
 def info(
-    scene: Annotated[str, Parameter(help='Scene file or folder; "street" is the built-in one.')],
+    scene: Annotated[str, Parameter(help='Scene file or folder, or a capture; "street" is the built-in scene.')],
     /,
     *,
+    check: Annotated[bool, Parameter(negative="", help="Capture: read all pictures, and check the poses.")] = False,
+    overlay: Annotated[
+        Path | None, Parameter(help="Capture: draw points and boxes into some views, and write the picture here.")
+    ] = None,
     json: JsonFile = None,
 ) -> None:
-    """Print counts, bounds, spherical harmonics, units and memory of a scene."""
+    """Print what a scene holds (counts, bounds, harmonics, memory) or a capture (cameras, lidar, boxes, problems)."""
+    if not _is_scene(scene) and capture_format(scene) is not None:
+        write_numbers(json, capture_info(Path(scene), check, overlay))
+        return
+    if check or overlay is not None:
+        raise ValueError(f"{scene}: --check and --overlay are for captures, and this is none that is known")
     opened = open_scene(scene)
     rows = [_member(each) for each in opened.members]
     numbers = {
@@ -39,6 +52,17 @@ def info(
     write_numbers(json, numbers)
 
 
+def _is_scene(name: str) -> bool:
+    """Whether a name is that of a scene: what could be both, such as a folder with scene.json and pictures, is one."""
+    path = Path(name)
+    return (
+        is_built_in(name)
+        or scene_folder_of(path) is not None
+        or format_of(path) is not None
+        or (path / "meta.json").is_file()
+    )
+
+
 def _member(member: Layer | Actor) -> dict[str, Any]:
     gaussians, marks = member.gaussians, marked([member])
     low, high = bounds(gaussians) if len(gaussians) else (np.zeros(3), np.zeros(3))
@@ -50,7 +74,8 @@ def _member(member: Layer | Actor) -> dict[str, Any]:
         "sh_degree": gaussians.sh_degree,
         "minimum": [round(float(v), 3) for v in low],
         "maximum": [round(float(v), 3) for v in high],
-        "memory_bytes": gaussians.nbytes,
+        "wet_colors": member.wet_sh is not None,
+        "memory_bytes": gaussians.nbytes + (member.wet_sh.nbytes if member.wet_sh is not None else 0),
     }
 
 
@@ -63,9 +88,10 @@ def _print(scene: Scene, numbers: dict[str, Any]) -> None:
     console.print(f"1 unit = {scene.metres_per_unit:g} m, up = ({up})")
     for name, cameras in numbers["rigs"].items():
         console.print(f"rig {name}: {', '.join(cameras)}")
-    table = Table("name", "kind", "Gaussians", "SH degree", "minimum", "maximum", "MiB", box=None)
+    table = Table("name", "kind", "Gaussians", "SH degree", "wet", "minimum", "maximum", "MiB", box=None)
     for row in numbers["members"]:
         corners = [" ".join(f"{v:g}" for v in row[key]) for key in ("minimum", "maximum")]
         size = f"{row['memory_bytes'] / 2**20:.1f}"
-        table.add_row(row["name"], row["kind"], f"{row['gaussians']:,}", str(row["sh_degree"]), *corners, size)
+        wet = "yes" if row["wet_colors"] else "no"
+        table.add_row(row["name"], row["kind"], f"{row['gaussians']:,}", str(row["sh_degree"]), wet, *corners, size)
     console.print(table)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
+from msgspec import structs
 
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.render.backends import Backend, open_renderer
@@ -61,7 +62,10 @@ def render(
     look: Annotated[
         Look, Parameter(help="What to show: the picture (splats), or without rain what it is made of.")
     ] = "splats",
-    wet: Annotated[bool, Parameter(help="First give the scene a wet look, as the window's preview job does.")] = False,
+    wet: Annotated[
+        bool,
+        Parameter(help="First give the scene wet colours, as the window's preview job does; soaked without --wetness."),
+    ] = False,
     up: Annotated[
         Literal["x", "-x", "y", "-y", "z", "-z"] | None,
         Parameter(help="Which way is up in the scene's axes.", allow_leading_hyphen=True),
@@ -75,9 +79,11 @@ def render(
     asked.check()
     _check(duration=duration, frame=frame, metres_per_unit=metres_per_unit)
     opened = _oriented(open_to_draw(scene), up, metres_per_unit)
-    falling = Rainfall.start((rain or RainOptions()).for_scene(opened), weather=rendered_weather(rain, opened))
+    asked_rain = (rain or RainOptions()).for_scene(opened)
     if wet:
         opened = _made_rainy(opened)
+        asked_rain = asked_rain if asked_rain.wetness is not None else structs.replace(asked_rain, wetness=1.0)
+    falling = Rainfall.start(asked_rain, weather=rendered_weather(rain, opened))
     is_own_path = camera is None and camera_path is None and opened.path is not None
     viewpoint = _viewpoint(opened, camera, camera_path, asked)
     sequences = sequences_of(asked, opened, falling, viewpoint, in_scene_time=is_own_path)

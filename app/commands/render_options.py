@@ -34,6 +34,10 @@ class RainOptions:
     roofs: Annotated[bool | None, Parameter(help="Keep rain from under bridges, canopies and trees.")] = None
     haze: Annotated[bool | None, Parameter(help="Draw far drops as haze.")] = None
     streaks: Annotated[bool | None, Parameter(help="Draw near drops as streaks.")] = None
+    wetness: Annotated[
+        float | None,
+        Parameter(help="Share of the scene's wet colours, 0 clear to 1 soaked; default: as the intensity has it."),
+    ] = None
 
     def for_scene(self, scene: Scene) -> Rain:
         """Preset, else the rain saved with the scene, else none; then what was asked for on top."""
@@ -50,6 +54,7 @@ class RainOptions:
             "roofs": self.roofs,
             "haze": self.haze,
             "streaks": self.streaks,
+            "wetness": self.wetness,
         }
         values = msgspec.to_builtins(rain) | {name: value for name, value in asked.items() if value is not None}
         return msgspec.convert(values, Rain)

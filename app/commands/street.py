@@ -1,6 +1,7 @@
 """`gsrain street DIR`: the built-in street as files."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -55,4 +56,5 @@ def _photographs(scene: Scene, rig: str, moments: int, width: int) -> Iterator[V
         for mounted in scene.rigs[rig]:
             camera = rig_camera(scene, rig, mounted.name, time_s)
             camera = camera.resized(width, round(width * camera.height / camera.width))
-            yield photographer.view(camera, time_s, f"{mounted.name}_{time_s:07.3f}s")
+            view = photographer.view(camera, time_s, f"{mounted.name}_{time_s:07.3f}s")
+            yield replace(view, sensor=mounted.name)

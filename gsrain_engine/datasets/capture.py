@@ -1,7 +1,7 @@
 """What a data set reader returns: pictures, the cameras that took them, and what else is known about the place."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -54,6 +54,8 @@ class View:
     labels_source: Source | None = None
     mask_source: Source | None = None
     sky_source: Source | None = None
+    attributes: Mapping[str, str] = field(default_factory=dict[str, str])
+    """What else the data set says about the picture, such as weather and time of day, in its own words."""
 
     @property
     def image(self) -> UInt8[np.ndarray, "h w 3"]:
@@ -144,6 +146,8 @@ class Capture:
     """Whether lengths are metres; else their unit is unknown."""
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Upward direction in the world's axes."""
+    has_poses: bool = True
+    """Whether it is known where the cameras stood; else each view stands at the origin by itself."""
     problems: tuple[str, ...] = ()
     """What was left out and why, a sentence each: the rest is used."""
 

@@ -1,24 +1,40 @@
-"""A capture as a folder: pictures, what is known about each pixel, and one file with the cameras."""
+"""A capture as a folder: pictures, what is known about each pixel, and one file with the cameras.
+
+NAME.png is the picture, NAME.depth.npy depth in metres (float32), NAME.normals.npy world normals (float16),
+NAME.labels.png class numbers, NAME.mask.png and NAME.sky.png are white where True. cameras.json holds for each view its
+name, time and camera, and its sensor, lens and attributes where it has them. The world has metres and z up.
+"""
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from .capture import View
+from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S, Camera
+from gsrain_engine.scene.errors import SceneFormatError
+
+from .array_file import read_floats
+from .capture import Capture, CaptureError, Lens, View
+from .json_file import read_json_rows
+from .picture_file import picture_size, read_color, read_labels, read_mask
 
 CAMERAS = "cameras.json"
 
+_OTHER_PIXELS: dict[str, tuple[str, Callable[[Path], np.ndarray]]] = {
+    "depth": ("depth.npy", read_floats),
+    "normals": ("normals.npy", read_floats),
+    "labels": ("labels.png", read_labels),
+    "mask": ("mask.png", read_mask),
+    "sky": ("sky.png", read_mask),
+}
+
 
 def write_views(folder: Path, views: Iterable[View]) -> Iterator[View]:
-    """Write views as they come, and yield each when it is on the disk; the cameras' file comes last.
-
-    NAME.png is the picture, NAME.depth.npy depth in metres (float32), NAME.normals.npy world normals (float16),
-    NAME.labels.png class numbers. cameras.json holds for each view its name, time and camera.
-    """
+    """Write views as they come, and yield each when it is on the disk; the cameras' file comes last."""
     folder.mkdir(parents=True, exist_ok=True)
     cameras: list[dict[str, Any]] = []
     for view in views:
@@ -29,6 +45,96 @@ def write_views(folder: Path, views: Iterable[View]) -> Iterator[View]:
             np.save(folder / f"{view.name}.normals.npy", view.normals.astype(np.float16), allow_pickle=False)
         if view.labels is not None:
             Image.fromarray(view.labels).save(folder / f"{view.name}.labels.png")
-        cameras.append({"name": view.name, "time_s": view.time_s, **view.camera.to_json()})
+        for name, flags in (("mask", view.mask), ("sky", view.sky)):
+            if flags is not None:
+                Image.fromarray(flags.astype(np.uint8) * 255).save(folder / f"{view.name}.{name}.png")
+        cameras.append(_record(view))
         yield view
     (folder / CAMERAS).write_text(json.dumps(cameras, indent=1) + "\n", encoding="utf-8")
+
+
+def recognizes_capture_folder(path: Path) -> bool:
+    """Whether a folder, or `images` in it (as `gsrain street` writes it), holds cameras.json and pictures."""
+    return _folder(path) is not None
+
+
+def read_capture_folder(path: Path) -> Capture:
+    """Read a folder back as it was written; pictures that are missing or broken are left out and named."""
+    folder = _folder(path) or path
+    file = folder / CAMERAS
+    views: list[View] = []
+    problems: list[str] = []
+    for index, values in enumerate(read_json_rows(file)):
+        try:
+            views.append(_view(folder, values, f"{file}, view {index}"))
+        except SceneFormatError as error:
+            raise CaptureError(str(error)) from None
+        except CaptureError as error:
+            problems.append(str(error))
+    if not views:
+        raise CaptureError(
+            f"{file}: none of its {len(problems)} views can be used ({(problems or ['it lists none'])[0]})"
+        )
+    return Capture(folder.resolve().name, tuple(views), problems=tuple(problems))
+
+
+def _record(view: View) -> dict[str, Any]:
+    values: dict[str, Any] = {"name": view.name, "time_s": view.time_s, **view.camera.to_json()}
+    if view.camera.exposure_s != DEFAULT_EXPOSURE_S:
+        values["exposure_s"] = view.camera.exposure_s
+    if view.sensor:
+        values["sensor"] = view.sensor
+    if view.lens is not None:
+        values["lens"] = {"model": view.lens.model, "coefficients": list(view.lens.coefficients)}
+    if view.attributes:
+        values["attributes"] = dict(view.attributes)
+    return values
+
+
+def _view(folder: Path, values: dict[str, Any], where: str) -> View:
+    name = values.get("name")
+    if not isinstance(name, str) or not name:
+        raise SceneFormatError(where, "has no name")
+    camera = Camera.from_json(values, f"{where} ({name})")
+    picture = folder / f"{name}.png"
+    size = picture_size(picture)
+    if size != (camera.width, camera.height):
+        raise CaptureError(f"{picture}: is {size[0]}x{size[1]} px, its camera says {camera.width}x{camera.height}")
+    others = {
+        f"{pixels}_source": partial(read, folder / f"{name}.{suffix}")
+        for pixels, (suffix, read) in _OTHER_PIXELS.items()
+        if (folder / f"{name}.{suffix}").is_file()
+    }
+    return View(
+        name,
+        camera,
+        partial(read_color, picture),
+        time_s=_number(values.get("time_s", 0.0), where, "time_s"),
+        sensor=str(values.get("sensor", "")),
+        lens=_lens(values.get("lens"), where),
+        attributes={str(key): str(value) for key, value in dict(values.get("attributes", {})).items()},
+        **others,
+    )
+
+
+def _lens(values: Any, where: str) -> Lens | None:
+    if values is None:
+        return None
+    try:
+        model, coefficients = values["model"], tuple(float(each) for each in values["coefficients"])
+        if model not in ("opencv", "fisheye") or not np.isfinite(coefficients).all():
+            raise ValueError(f"model {model!r} must be opencv or fisheye, and its coefficients finite")
+        return Lens(model, coefficients)
+    except (KeyError, TypeError, ValueError) as error:
+        raise SceneFormatError(where, f"lens can't be read ({error})") from None
+
+
+def _number(value: Any, where: str, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise SceneFormatError(where, f"{name} must be a finite number, not {value!r}")
+    return float(value)
+
+
+def _folder(path: Path) -> Path | None:
+    below = (path, path / "images")
+    return next((each for each in below if (each / CAMERAS).is_file() and any(each.glob("*.png"))), None)

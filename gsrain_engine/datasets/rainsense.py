@@ -16,7 +16,7 @@ from jaxtyping import Float64, UInt8
 
 from gsrain_engine.scene.camera import Camera, look_at
 
-from .capture import Capture, Lens, View
+from .capture import Capture, CaptureError, Lens, View
 
 CAMERA_HEIGHT_M = 1.5
 """Assumed, for the files don't tell it: the height of a sensor on a car, as the paper has it."""
@@ -64,10 +64,10 @@ class RainSequence:
         file = self.images[number]
         picture = cv2.imdecode(np.fromfile(file, np.uint8), mode) if file.stat().st_size else None
         if picture is None:
-            raise ValueError(f"{file}: not a readable JPEG")
+            raise CaptureError(f"{file}: not a readable JPEG")
         expected = (self.camera.height, self.camera.width)
         if picture.shape[:2] != expected:
-            raise ValueError(f"{file}: {picture.shape[:2]} pixels, its sequence begins with {expected}")
+            raise CaptureError(f"{file}: {picture.shape[:2]} pixels, its sequence begins with {expected}")
         return np.asarray(picture, np.uint8)
 
 
@@ -85,10 +85,10 @@ def read_rain_sequence(folder: Path, name: str | None = None) -> RainSequence:
     images = tuple(sorted(file for file in (folder / "image").glob("*.jpg") if _IMAGE_NUMBER.fullmatch(file.name)))
     if not images:
         raise ValueError(f"{folder / 'image'}: no image_NNN.jpg in it")
-    intensity = _numbers(folder / _INTENSITY, 1)[0]
+    intensity = read_numbers(folder / _INTENSITY, 1)[0]
     if not 0 <= intensity <= 500:
         raise ValueError(f"{folder / _INTENSITY}: {intensity} mm/h, expected 0 to 500")
-    k = _numbers(folder / _INTRINSICS, 14)
+    k = read_numbers(folder / _INTRINSICS, 14)
     first = cv2.imdecode(np.fromfile(images[0], np.uint8), cv2.IMREAD_GRAYSCALE) if images[0].stat().st_size else None
     if first is None:
         raise ValueError(f"{images[0]}: not a readable JPEG")
@@ -99,8 +99,8 @@ def read_rain_sequence(folder: Path, name: str | None = None) -> RainSequence:
     return RainSequence(name or folder.name, intensity, camera, np.array(k[9:14]), images, times)
 
 
-def _numbers(file: Path, count: int) -> list[float]:
-    """Numbers of a file of `name: values` lines and matrix rows."""
+def read_numbers(file: Path, count: int) -> list[float]:
+    """Read the numbers of a file of `name: values` lines and matrix rows."""
     lines = file.read_text(encoding="utf-8").splitlines()
     words = [word for line in lines for word in _NUMBER.findall(line.rpartition(":")[2])]
     if len(words) != count:

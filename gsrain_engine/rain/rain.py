@@ -198,7 +198,28 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         ),
     ] = None
 
+    wetness: Annotated[
+        float | None,
+        Meta(
+            title="Wetness",
+            description="Share of the soaked colours, 0..1; none follows the intensity (docs/physics.md, 11).",
+            extra={"ge": 0.0, "le": 1.0},
+        ),
+    ] = None
+    drying_s: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=7200,
+            title="Drying",
+            description="Time in which what is wet dries to 1/e when the rain gets weaker; 0 dries at once.",
+            extra={"unit": "s"},
+        ),
+    ] = 0.0
+
     def __post_init__(self) -> None:
+        if self.wetness is not None and not 0 <= self.wetness <= 1:
+            raise ValueError(f"wetness must be within 0..1, got {self.wetness}")
         if self.exposure_s is not None and not 1e-5 <= self.exposure_s <= 1:
             raise ValueError(f"exposure_s must be within 0.00001..1 s, got {self.exposure_s}")
         if self.haze_count is not None and not 0 <= self.haze_count <= 200_000:
@@ -207,6 +228,11 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
             raise ValueError(f"wind_m_s must be within -40..40 m/s on each axis, got {self.wind_m_s}")
         if self.drop_color is not None and any(not 0 <= channel <= 1 for channel in self.drop_color):
             raise ValueError(f"drop_color must be within 0..1 a channel, got {self.drop_color}")
+
+    @property
+    def without_rain(self) -> "Rain":
+        """The same at 0 mm/h and dry: what a clear picture beside a rainy one shows."""
+        return msgspec.structs.replace(self, intensity_mm_h=0.0, wetness=None)
 
     @property
     def exaggeration(self) -> str:

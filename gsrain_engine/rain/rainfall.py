@@ -1,6 +1,7 @@
 """Rain that falls: from what a person asks for, a moment and a camera to the drops and the haze of that moment."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
@@ -20,6 +21,7 @@ from .roofs import Roofs
 from .streak_field import StreakField
 from .streaks import STREAK_REACH, Shutter, circle_of_confusion_m, visible_distance_m
 from .weather import WITHOUT_CHANGE, Weather
+from .wetness import WetnessCourse, wetness
 
 OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)
 """Display colour of drops where a scene shows no sky to take it from."""
@@ -103,6 +105,21 @@ class Rainfall:
     def state_at(self, time_s: float) -> RainState:
         """Numbers of the rain at a time."""
         return self.moment(time_s).state
+
+    def wetness_at(self, time_s: float) -> float:
+        """Share of the soaked colours at a time, 0..1: what a person has set, else what follows from the intensity."""
+        if self.rain.wetness is not None:
+            return self.rain.wetness
+        return self._steady_wetness if self._wetness is None else self._wetness.at(time_s)
+
+    @cached_property
+    def _steady_wetness(self) -> float:
+        return wetness(self.rain.intensity_mm_h)
+
+    @cached_property
+    def _wetness(self) -> WetnessCourse | None:
+        intensity = self.weather.curves.get("intensity_mm_h")
+        return None if intensity is None else WetnessCourse(intensity, self.rain.drying_s)
 
     @property
     def can_rain(self) -> bool:

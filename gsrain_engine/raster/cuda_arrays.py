@@ -40,7 +40,7 @@ class CudaArrays:
 
     def __init__(self, device: str) -> None:
         self._device = device
-        self._held: dict[int, tuple[Gaussians, tuple[Tensor, ...]]] = {}
+        self._held: dict[int, tuple[object, tuple[Tensor, ...]]] = {}
         self._used: set[int] = set()
 
     def before_camera(self, parts: list[Part], camera: Camera) -> CameraSpace:
@@ -65,6 +65,11 @@ class CudaArrays:
         directions = directions / torch.linalg.norm(directions, dim=1, keepdim=True)
         basis = sh_basis(directions)[:, : sh.shape[1]]
         colors = torch.einsum("nk,nkc->nc", basis, sh) + 0.5
+        if part.is_wet:
+            soaked = torch.einsum("nk,nkc->nc", basis, self._wet(part.wet_sh)[rows]) + 0.5
+            colors = (1 - part.wetness) * colors + part.wetness * soaked
+            opacities = torch.where(torch.isfinite(colors).all(dim=1), opacities, 0)
+            colors = torch.nan_to_num(colors)
         if part.colors is not None:
             colors = colors @ self._uploaded(part.colors[:, :3].T) + self._uploaded(part.colors[:, 3])
         colors = torch.clamp(colors, min=0)
@@ -87,6 +92,13 @@ class CudaArrays:
             arrays = tuple(self._uploaded(each) for each in (g.means, g.scales, g.quaternions, g.opacities, g.sh))
             self._held[key] = gaussians, arrays  # held on to, so that its identity stays taken
         return self._held[key][1]
+
+    def _wet(self, wet_sh: Any) -> Tensor:
+        key = id(wet_sh)
+        self._used.add(key)
+        if key not in self._held:
+            self._held[key] = wet_sh, (self._uploaded(wet_sh),)
+        return self._held[key][1][0]
 
     def _uploaded(self, values: np.ndarray) -> Tensor:
         return torch.as_tensor(np.ascontiguousarray(values, np.float32), device=self._device)

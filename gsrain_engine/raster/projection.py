@@ -55,9 +55,10 @@ def project(parts: Sequence[Part], camera: Camera, rain: _Flags | None = None, *
         scales = g.scales if part.growth == 1 else g.scales[: part.drawn_count] * np.float32(part.growth)
         fill = _project_few if len(own) < FEW else _project_part
         fill(
-            own, g.means, scales, g.quaternions, g.opacities, g.sh, np.zeros(0, np.bool_) if flags is None else flags,
-            np.float32(part.opacity), _color_change(part), _words(part.selected), as_points, way,
-            eye_in_object(camera, part), intrinsics, shapes[first:last], colors[first:last],
+            own, g.means, scales, g.quaternions, g.opacities, g.sh, _wet_sh(part), np.float32(part.wetness),
+            np.zeros(0, np.bool_) if flags is None else flags, np.float32(part.opacity), _color_change(part),
+            _words(part.selected), as_points, way, eye_in_object(camera, part), intrinsics,
+            shapes[first:last], colors[first:last],
         )  # fmt: skip
         indices[first:last] = own + counted
         first, counted = last, counted + len(g)
@@ -78,6 +79,13 @@ def _words(mask: Mask | None) -> UInt32[np.ndarray, " w"]:
 def _color_change(part: Part) -> Float32[np.ndarray, "rows 4"]:
     """The affine change of a part's display colours; no rows where there is none."""
     return np.zeros((0, 4), np.float32) if part.colors is None else np.ascontiguousarray(part.colors, np.float32)
+
+
+def _wet_sh(part: Part) -> Float32[np.ndarray, "_ _ 3"]:
+    """Harmonics that are blended in; no rows where there are none, and the kernels do what they do without."""
+    if part.wet_sh is None or not part.is_wet:
+        return np.zeros((0, 1, 3), np.float32)
+    return np.require(part.wet_sh, np.float32, ("C", "W"))
 
 
 def eye_in_object(camera: Camera, part: Part) -> Float64[np.ndarray, "3"]:
@@ -164,34 +172,35 @@ def _has(words, i):
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _project_part(
-    members, means, scales, quaternions, opacities, sh, rain, opacity, change, selected, as_points, object_to_camera,
-    eye, intrinsics, shapes, colors,
+    members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected, as_points,
+    object_to_camera, eye, intrinsics, shapes, colors,
 ):  # fmt: skip
     """Fill shapes and colours of some Gaussians of one part; depth 0 for what is not to be drawn after all."""
     for chunk in numba.prange((len(members) + _CHUNK - 1) // _CHUNK):
         _project_range(
             chunk * _CHUNK, min(len(members), (chunk + 1) * _CHUNK), members, means, scales, quaternions, opacities, sh,
-            rain, opacity, change, selected, as_points, object_to_camera, eye, intrinsics, shapes, colors,
+            wet_sh, wetness, rain, opacity, change, selected, as_points, object_to_camera, eye, intrinsics, shapes,
+            colors,
         )  # fmt: skip
 
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check
 def _project_few(
-    members, means, scales, quaternions, opacities, sh, rain, opacity, change, selected, as_points, object_to_camera,
-    eye, intrinsics, shapes, colors,
+    members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected, as_points,
+    object_to_camera, eye, intrinsics, shapes, colors,
 ):  # fmt: skip
     _project_range(
-        0, len(members), members, means, scales, quaternions, opacities, sh, rain, opacity, change, selected, as_points,
-        object_to_camera, eye, intrinsics, shapes, colors,
+        0, len(members), members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change,
+        selected, as_points, object_to_camera, eye, intrinsics, shapes, colors,
     )  # fmt: skip
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
 def _project_range(
-    first, last, members, means, scales, quaternions, opacities, sh, rain, opacity, change, selected, as_points,
-    object_to_camera, eye, intrinsics, shapes, colors,
+    first, last, members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected,
+    as_points, object_to_camera, eye, intrinsics, shapes, colors,
 ):  # fmt: skip
     basis = np.empty(16, np.float32)
     for n in range(first, last):
@@ -201,7 +210,7 @@ def _project_range(
             means[i], scales[i], quaternions[i], opacity * opacities[i], is_rain, as_points, object_to_camera,
             intrinsics, shapes[n],
         )  # fmt: skip
-        if not (depth > 0 and _color(means[i], sh[i], eye, change, basis, colors[n])):
+        if not (depth > 0 and _color(means[i], sh[i], wet_sh, i, wetness, eye, change, basis, colors[n])):
             for k in range(8):
                 shapes[n, k] = 0
             for k in range(3):
@@ -282,8 +291,11 @@ def _along(length, x, y, z, ux, uy, uz, vx, vy, vz):
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def _color(mean, sh, eye, change, basis, color):
-    """Write the display colour, max(0, change of (sum of harmonics + 0.5)); return whether it is finite."""
+def _color(mean, sh, wet_sh, i, wetness, eye, change, basis, color):
+    """Write the display colour, max(0, change of (sum of harmonics + 0.5)); return whether it is finite.
+
+    Where there are wet harmonics, row i of theirs is blended in before the change.
+    """
     x, y, z = mean[0] - eye[0], mean[1] - eye[1], mean[2] - eye[2]
     by_length = 1 / np.sqrt(x * x + y * y + z * z)
     coefficients = sh.shape[0]
@@ -293,6 +305,14 @@ def _color(mean, sh, eye, change, basis, color):
         red += basis[k] * sh[k, 0]
         green += basis[k] * sh[k, 1]
         blue += basis[k] * sh[k, 2]
+    if len(wet_sh) > 0:
+        r = g = b = np.float32(0.5)
+        for k in range(coefficients):
+            r += basis[k] * wet_sh[i, k, 0]
+            g += basis[k] * wet_sh[i, k, 1]
+            b += basis[k] * wet_sh[i, k, 2]
+        dry = np.float32(1) - wetness
+        red, green, blue = dry * red + wetness * r, dry * green + wetness * g, dry * blue + wetness * b
     if len(change) > 0:
         r, g, b = red, green, blue
         red = change[0, 0] * r + change[0, 1] * g + change[0, 2] * b + change[0, 3]

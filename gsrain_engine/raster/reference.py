@@ -115,7 +115,9 @@ def _alpha(splat: _Splat, camera: Camera) -> Float64[np.ndarray, "h w"]:
 
 def _projected(part: Part, i: int, camera: Camera, is_rain: bool) -> _Splat | None:
     g = part.gaussians
-    numbers = (g.means[i], g.scales[i], g.quaternions[i], g.opacities[i], g.sh[i])
+    numbers = [g.means[i], g.scales[i], g.quaternions[i], g.opacities[i], g.sh[i]]
+    if part.is_wet and part.wet_sh is not None:
+        numbers.append(part.wet_sh[i])
     if not all(np.isfinite(each).all() for each in numbers):
         return None
     object_to_camera = camera.world_to_camera @ part.to_world
@@ -143,6 +145,8 @@ def _color(part: Part, i: int, camera: Camera) -> Float64[np.ndarray, "3"]:
     sh = part.gaussians.sh[i].astype(np.float64)
     basis = sh_basis_slowly(direction / np.linalg.norm(direction))[: len(sh)]
     color = basis @ sh + 0.5
+    if part.is_wet and part.wet_sh is not None:
+        color = (1 - part.wetness) * color + part.wetness * (basis @ part.wet_sh[i].astype(np.float64) + 0.5)
     color = np.maximum(color if part.colors is None else part.colors @ np.append(color, 1), 0)
     is_selected = part.selected is not None and part.selected.flags[i]
     return (1 - TINT_SHARE) * color + TINT_SHARE * np.array(TINT) if is_selected else color

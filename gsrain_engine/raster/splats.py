@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, Int64
+from jaxtyping import Bool, Float, Float32, Int32, Int64
 
 SCENE_ALPHA_CUT = 1 / 255
 """Fainter fragments of the scene are left out, as in the reference rasterizer."""
@@ -49,15 +49,20 @@ class Splats:
         return self.shapes[:, 6] < LEAST_SCENE_CUT
 
     def nearest_first(self) -> Int32[np.ndarray, " drawn"]:
-        """Rows that are drawn, sorted by depth; equal depths keep their index.
+        """Rows that are drawn, sorted by depth; equal depths keep their index."""
+        return nearest_first(self.colors[:, 3])
 
-        One 64-bit number each, depth above row: no two are equal, so any fast sort is a stable one. The bits of a
-        positive float32 sort like the number itself.
-        """
-        depths = np.ascontiguousarray(self.colors[:, 3])
-        rows = np.flatnonzero(depths)
-        keys = depths[rows].view(np.uint32).astype(np.uint64)
-        keys <<= np.uint64(32)
-        keys |= rows.astype(np.uint64)
-        keys.sort()
-        return keys.astype(np.uint32).view(np.int32)  # the lower halves
+
+def nearest_first(depths: Float[np.ndarray, " m"]) -> Int32[np.ndarray, " drawn"]:
+    """Rows with a depth above 0, sorted by it as float32; equal depths keep their index.
+
+    One 64-bit number each, depth above row: no two are equal, so any fast sort is a stable one. The bits of a positive
+    float32 sort like the number itself.
+    """
+    depths = np.ascontiguousarray(depths, np.float32)
+    rows = np.flatnonzero(depths)
+    keys = depths[rows].view(np.uint32).astype(np.uint64)
+    keys <<= np.uint64(32)
+    keys |= rows.astype(np.uint64)
+    keys.sort()
+    return keys.astype(np.uint32).view(np.int32)  # the lower halves

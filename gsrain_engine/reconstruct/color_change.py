@@ -34,6 +34,17 @@ class ColorChange:
             changed += shares[:, surface, None, None] * moved
         return changed
 
+    def of_colors(
+        self, colors: Float32[np.ndarray, "p 3"], shares: Float32[np.ndarray, "p 3"]
+    ) -> Float32[np.ndarray, "p 3"]:
+        """Change display colours; `shares` (sky, ground, other) need not add up to 1."""
+        changed = np.zeros_like(colors)
+        total = np.maximum(shares.sum(axis=1), np.float32(1e-6))
+        for surface in range(len(SURFACES)):
+            moved = colors @ self.matrices[surface].T.astype(np.float32) + self.offsets[surface].astype(np.float32)
+            changed += (shares[:, surface] / total)[:, None] * moved
+        return changed
+
 
 def fit_color_change(
     clear: Sequence[Float32[np.ndarray, "_ 3"]],

@@ -2,13 +2,11 @@
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
-from typing import no_type_check
+from typing import NamedTuple, Protocol, no_type_check, runtime_checkable
 
 import numba
 import numpy as np
 from jaxtyping import Float32, Int64
-
-from gsrain_engine.raster.view_weights import ViewWeights
 
 TIKHONOV = 0.3
 """Pull towards the prior: a Gaussian whose squared weights sum to this over all views goes half the way, if alone."""
@@ -17,66 +15,115 @@ DIRECTIONAL_TIKHONOV = 4.0
 """How much stronger the pull is on harmonics above degree 0: few views say little about directions."""
 
 
+@runtime_checkable
+class Weights(Protocol):
+    """Blending weights of one view as a linear operator W on the colours of its splats."""
+
+    def blend(self, colors: Float32[np.ndarray, "m 3"], /) -> Float32[np.ndarray, "h w 3"]:
+        """W times colours: the premultiplied image."""
+        ...
+
+    def accumulate(self, image: Float32[np.ndarray, "h w 3"], /) -> Float32[np.ndarray, "m 3"]:
+        """W transposed times an image."""
+        ...
+
+    def normal(
+        self, colors: Float32[np.ndarray, "m 3"], trust: Float32[np.ndarray, "h w"], /
+    ) -> Float32[np.ndarray, "m 3"]:
+        """W transposed times trust times W times colours."""
+        ...
+
+    def squared_sums(self, trust: Float32[np.ndarray, "h w"], /) -> Float32[np.ndarray, " m"]:
+        """Diagonal of W transposed times trust times W."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ColorTarget:
     """What one view says about the colours."""
 
-    weights: ViewWeights
+    weights: Weights
     indices: Int64[np.ndarray, " m"]
     """Row of each of the view's splats among all unknowns."""
     basis: Float32[np.ndarray, "m k"]
     """Harmonics that each splat is seen through; 0 forbids one."""
     residual: Float32[np.ndarray, "h w 3"]
-    """Premultiplied image that is wanted, minus what the prior colours give."""
+    """Premultiplied image that is wanted, minus what the colours so far give."""
+    trust: Float32[np.ndarray, "h w"]
+    """How much each pixel counts, 0 to 1."""
+
+
+class Step(NamedTuple):
+    """Where a solver stands after an iteration."""
+
+    length: float
+    """Of the preconditioned residual, compared with the start: in (0, 1] as a rule."""
+    change: Float32[np.ndarray, "n k 3"]
+    """Of the harmonics so far; the solver goes on writing into it."""
+
+
+def plain_pull(k: int, tikhonov: float = TIKHONOV) -> Float32[np.ndarray, "1 k 1"]:
+    """Pull on k harmonics that is the same for all Gaussians."""
+    return (tikhonov * np.where(np.arange(k) == 0, 1, DIRECTIONAL_TIKHONOV)).astype(np.float32)[None, :, None]
 
 
 def solve_colors(
-    targets: Sequence[ColorTarget], count: int, iterations: int = 12, tikhonov: float = TIKHONOV
-) -> Generator[float, None, Float32[np.ndarray, "n k 3"]]:
-    """Find the change d of the harmonics that minimizes sum |W d - residual|^2 + tikhonov |d|^2 over all views.
+    targets: Sequence[ColorTarget],
+    count: int,
+    iterations: int,
+    pull: Float32[np.ndarray, "_ k 1"],
+    offset: Float32[np.ndarray, "n k 3"] | None = None,
+) -> Generator[Step, None, Float32[np.ndarray, "n k 3"]]:
+    """Find the change d of `count` Gaussians' harmonics that explains the views.
+
+    It minimizes the sum over views of |sqrt(trust) (W d - residual)|^2, plus pull |d + offset|^2.
 
     Preconditioned conjugate gradients on the normal equations (Hestenes and Stiefel 1952) with the exact diagonal as
-    Jacobi preconditioner; one blending and one accumulation a view and iteration. The model is linear: the max(0, .)
-    that a renderer puts on a splat's colour is left out.
+    Jacobi preconditioner; W of each view is used forth and back once an iteration. The model is linear: the
+    max(0, .) that a renderer puts on a splat's colour is left out.
+
+    Args:
+        targets: The views.
+        count: How many Gaussians there are unknowns of.
+        iterations: How many at most; it ends sooner where nothing is left to be explained.
+        pull: Of each Gaussian, or of all alike.
+        offset: How far the harmonics are from their prior to begin with; none where they stand on it.
 
     Yields:
-        After each iteration, the preconditioned residual's length compared with the start, in (0, 1] as a rule.
+        The state after each iteration.
 
     Returns:
-        The change of the harmonics, to be added to the prior's.
+        The change of the harmonics.
     """
     k = targets[0].basis.shape[1]
-    pull = tikhonov * np.where(np.arange(k) == 0, 1, DIRECTIONAL_TIKHONOV).astype(np.float32)[:, None]
     diagonal = np.broadcast_to(pull, (count, k, 1)).copy()
-    remainder = np.zeros((count, k, 3), np.float32)
+    remainder = np.zeros((count, k, 3), np.float32) if offset is None else -pull * offset
     for target in targets:
-        squares = target.weights.squared_sums()[:, None] * target.basis**2
+        squares = target.weights.squared_sums(target.trust)[:, None] * target.basis**2
         diagonal[target.indices] += squares[..., None]
-        _add_seen(remainder, target.indices, target.basis, target.weights.accumulate(target.residual))
+        gathered = target.weights.accumulate(target.residual * target.trust[..., None])
+        add_seen(remainder, target.indices, target.basis, gathered)
     change = np.zeros_like(remainder)
-    conditioned = remainder / diagonal
-    direction = conditioned.copy()
-    slope = start = _dot(remainder, conditioned)
+    direction = np.empty_like(remainder)
+    slope = start = _condition(remainder, diagonal, np.float32(0), direction)
     for _ in range(iterations):
         if slope <= 1e-12 * start:
             break
-        image = apply_normal(targets, direction) + pull * direction
-        step = np.float32(slope / _dot(direction, image))
-        change += step * direction
-        remainder -= step * image
-        conditioned = remainder / diagonal
-        slope, before = _dot(remainder, conditioned), slope
-        direction = conditioned + np.float32(slope / before) * direction
-        yield float(np.sqrt(slope / start))
+        image = apply_normal(targets, direction)
+        step = np.float32(slope / _pulled(image, direction, pull))
+        _advance(change, remainder, direction, image, step)
+        before, slope = slope, _sloped(remainder, diagonal)
+        _condition(remainder, diagonal, np.float32(slope / before), direction)
+        yield Step(float(np.sqrt(slope / start)), change)
     return change
 
 
 def apply_normal(targets: Sequence[ColorTarget], change: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "n k 3"]:
-    """W^T W times a change of the harmonics, summed over the views in order."""
+    """W^T trust W times a change of the harmonics, summed over the views in order."""
     result = np.zeros_like(change)
     for target in targets:
-        image = target.weights.blend(colors_seen(change, target.indices, target.basis))
-        _add_seen(result, target.indices, target.basis, target.weights.accumulate(image))
+        gathered = target.weights.normal(colors_seen(change, target.indices, target.basis), target.trust)
+        add_seen(result, target.indices, target.basis, gathered)
     return result
 
 
@@ -86,23 +133,98 @@ def colors_seen(
     sh: Float32[np.ndarray, "n k 3"], indices: Int64[np.ndarray, " m"], basis: Float32[np.ndarray, "m k"]
 ) -> Float32[np.ndarray, "m 3"]:
     """Sum of harmonics of each splat, without the 0.5 of 3DGS."""
-    colors = np.zeros((len(indices), 3), np.float32)
+    colors = np.empty((len(indices), 3), np.float32)
     for n in numba.prange(len(indices)):
+        row = sh[indices[n]]
+        red = green = blue = np.float32(0)
         for k in range(basis.shape[1]):
-            for channel in range(3):
-                colors[n, channel] += basis[n, k] * sh[indices[n], k, channel]
+            value = basis[n, k]
+            red += value * row[k, 0]
+            green += value * row[k, 1]
+            blue += value * row[k, 2]
+        colors[n, 0], colors[n, 1], colors[n, 2] = red, green, blue
     return colors
 
 
 @numba.njit(parallel=True, cache=True)
 @no_type_check
-def _add_seen(sh, indices, basis, colors):
+def add_seen(
+    sh: Float32[np.ndarray, "n k 3"],
+    indices: Int64[np.ndarray, " m"],
+    basis: Float32[np.ndarray, "m k"],
+    colors: Float32[np.ndarray, "m 3"],
+) -> None:
     """Transpose of `colors_seen`, added in place. A view sees each Gaussian once: no two rows meet."""
     for n in numba.prange(len(indices)):
+        row = sh[indices[n]]
         for k in range(basis.shape[1]):
+            value = basis[n, k]
             for channel in range(3):
-                sh[indices[n], k, channel] += basis[n, k] * colors[n, channel]
+                row[k, channel] += value * colors[n, channel]
 
 
-def _dot(left: Float32[np.ndarray, "n k 3"], right: Float32[np.ndarray, "n k 3"]) -> float:
-    return float(np.sum(left * right, dtype=np.float64))
+_CHUNKS = 64
+"""Sums are taken over so many chunks, then over those in order: the same bytes at any number of threads."""
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check
+def _condition(remainder, diagonal, turn, direction):
+    """Make direction = remainder / diagonal + turn * direction; return remainder . (remainder / diagonal)."""
+    n, k = remainder.shape[:2]
+    sums = np.zeros(_CHUNKS)
+    for chunk in numba.prange(_CHUNKS):
+        total = 0.0
+        for i in range(n * chunk // _CHUNKS, n * (chunk + 1) // _CHUNKS):
+            for j in range(k):
+                for channel in range(3):
+                    conditioned = remainder[i, j, channel] / diagonal[i, j, 0]
+                    total += remainder[i, j, channel] * conditioned
+                    before = turn * direction[i, j, channel] if turn != 0 else np.float32(0)
+                    direction[i, j, channel] = conditioned + before
+        sums[chunk] = total
+    return sums.sum()
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check
+def _sloped(remainder, diagonal):
+    n, k = remainder.shape[:2]
+    sums = np.zeros(_CHUNKS)
+    for chunk in numba.prange(_CHUNKS):
+        total = 0.0
+        for i in range(n * chunk // _CHUNKS, n * (chunk + 1) // _CHUNKS):
+            for j in range(k):
+                for channel in range(3):
+                    total += remainder[i, j, channel] * remainder[i, j, channel] / diagonal[i, j, 0]
+        sums[chunk] = total
+    return sums.sum()
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check
+def _pulled(image, direction, pull):
+    """Add pull * direction to image; return direction . image."""
+    n, k = image.shape[:2]
+    sums = np.zeros(_CHUNKS)
+    for chunk in numba.prange(_CHUNKS):
+        total = 0.0
+        for i in range(n * chunk // _CHUNKS, n * (chunk + 1) // _CHUNKS):
+            own = i if len(pull) > 1 else 0
+            for j in range(k):
+                for channel in range(3):
+                    image[i, j, channel] += pull[own, j, 0] * direction[i, j, channel]
+                    total += direction[i, j, channel] * image[i, j, channel]
+        sums[chunk] = total
+    return sums.sum()
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check
+def _advance(change, remainder, direction, image, step):
+    n, k = change.shape[:2]
+    for i in numba.prange(n):
+        for j in range(k):
+            for channel in range(3):
+                change[i, j, channel] += step * direction[i, j, channel]
+                remainder[i, j, channel] -= step * image[i, j, channel]

@@ -71,7 +71,7 @@ class _Run:
 
     def render(self, number: int, *, counts: bool) -> None:
         sequence, shot = self.sequence, self.sequence.shot(number)
-        parts = sequence.scene.parts(shot.time_s)
+        parts = sequence.scene.parts(shot.time_s, wetness=sequence.rainfall.wetness_at(shot.time_s))
         start = time.perf_counter()
         falling = rain_in(sequence.scene, sequence.rainfall, self.sky, shot)
         rained = time.perf_counter()

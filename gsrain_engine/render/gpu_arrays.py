@@ -1,7 +1,7 @@
 """Gaussians on the GPU: one set of buffers an array, uploaded once, in slices where a frame must not stall."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import moderngl
@@ -29,17 +29,22 @@ SH_BITS: dict[Harmonics, int] = {"single": 32, "half": 16, "byte": 8}
 
 @dataclass(frozen=True, slots=True)
 class GaussianBuffers:
-    """The buffers of one set of Gaussians, a chunk each; bound in this order from binding 0 on."""
+    """The buffers of one set of Gaussians, a chunk each; the first four are bound in this order from binding 0 on."""
 
     means_opacities: list[moderngl.Buffer]
     scales: list[moderngl.Buffer]
     quaternions: list[moderngl.Buffer]
     sh: list[moderngl.Buffer]
+    wet_sh: list[moderngl.Buffer] = field(default_factory=list[moderngl.Buffer])
+    """Of the wet colours; none where they were not asked for."""
 
     def chunks(self) -> Iterator[tuple[moderngl.Buffer, ...]]:
         """Yield the four buffers of each chunk."""
         return zip(self.means_opacities, self.scales, self.quaternions, self.sh, strict=True)
 
+
+WetColors = Float32[np.ndarray, "n k 3"] | None
+"""A second set of harmonics for the same Gaussians; none where there is none."""
 
 _Key = tuple[int, ...]
 
@@ -73,12 +78,12 @@ class GpuArrays:
         self._used: set[_Key] = set()
         self._leaving: list[moderngl.Buffer] = []
 
-    def buffers(self, gaussians: Gaussians) -> GaussianBuffers:
-        """Return the buffers of a set, uploading what is not there yet."""
-        for _ in self.upload(gaussians):
+    def buffers(self, gaussians: Gaussians, wet_sh: WetColors = None) -> GaussianBuffers:
+        """Return the buffers of a set and of its wet colours, uploading what is not there yet."""
+        for _ in self.upload(gaussians, wet_sh=wet_sh):
             pass
         found: list[list[moderngl.Buffer]] = []
-        for sources in _sources(gaussians):
+        for sources in _sources(gaussians, wet_sh):
             key = tuple(map(id, sources))
             self._used.add(key)
             array = self._arrays[key] = self._arrays.pop(key)  # to the end
@@ -86,9 +91,17 @@ class GpuArrays:
             found.append(array.buffers)
         return GaussianBuffers(*found)
 
-    def upload(self, gaussians: Gaussians, slice_size: int = CHUNK) -> Iterator[float]:
+    def keep(self, wet_sh: WetColors) -> None:
+        """Count wet colours as drawn where they are here: at a wetness of 0 nobody reads them, but the next may."""
+        key = (id(wet_sh),)
+        if key in self._arrays:
+            self._used.add(key)
+            array = self._arrays[key] = self._arrays.pop(key)
+            array.is_awaited = False
+
+    def upload(self, gaussians: Gaussians, slice_size: int = CHUNK, *, wet_sh: WetColors = None) -> Iterator[float]:
         """Upload a set slice by slice; yields the fraction done after each, so that frames can go between them."""
-        missing = [sources for sources in _sources(gaussians) if tuple(map(id, sources)) not in self._arrays]
+        missing = [sources for sources in _sources(gaussians, wet_sh) if tuple(map(id, sources)) not in self._arrays]
         steps = max(1, sum(-(-len(gaussians) // slice_size) for _ in missing))
         done = 0
         for sources in missing:
@@ -117,9 +130,9 @@ class GpuArrays:
                 array.buffers[at // CHUNK].write(data, offset=row_bytes * (at % CHUNK))
             yield
 
-    def missing(self, gaussians: Gaussians) -> int:
+    def missing(self, gaussians: Gaussians, wet_sh: WetColors = None) -> int:
         """How many Gaussians would have to be uploaded to draw these: all or none, were it for a single array."""
-        is_here = all(tuple(map(id, sources)) in self._arrays for sources in _sources(gaussians))
+        is_here = all(tuple(map(id, sources)) in self._arrays for sources in _sources(gaussians, wet_sh))
         return 0 if is_here else len(gaussians)
 
     def marks(self, left_out: Mask | None, selected: Mask | None) -> list[moderngl.Buffer]:
@@ -161,9 +174,9 @@ class GpuArrays:
         for key in [key for key, array in self._arrays.items() if array.is_awaited]:
             self._leave(self._arrays.pop(key))
 
-    def release_all_but(self, kept: Iterable[Gaussians]) -> None:
-        """Free all arrays but those of some sets: another scene has come."""
-        keys = {tuple(map(id, sources)) for gaussians in kept for sources in _sources(gaussians)}
+    def release_all_but(self, kept: Iterable[tuple[Gaussians, WetColors]]) -> None:
+        """Free all arrays but those of some sets and their wet colours: another scene has come."""
+        keys = {tuple(map(id, sources)) for each in kept for sources in _sources(*each)}
         for key in [key for key in self._arrays if key not in keys]:
             self._leave(self._arrays.pop(key))
 
@@ -232,5 +245,12 @@ def _as_bytes(rows: "np.ndarray[Any, np.dtype[Any]]") -> UInt8[np.ndarray, "m by
     return rows.view(np.uint8).reshape(len(rows), rows.shape[1] * rows.itemsize)
 
 
-def _sources(gaussians: Gaussians) -> list[tuple[Float32[np.ndarray, "..."], ...]]:
-    return [(gaussians.means, gaussians.opacities), (gaussians.scales,), (gaussians.quaternions,), (gaussians.sh,)]
+def _sources(gaussians: Gaussians, wet_sh: WetColors = None) -> list[tuple[Float32[np.ndarray, "..."], ...]]:
+    wet = [] if wet_sh is None else [(wet_sh,)]
+    return [
+        (gaussians.means, gaussians.opacities),
+        (gaussians.scales,),
+        (gaussians.quaternions,),
+        (gaussians.sh,),
+        *wet,
+    ]

@@ -30,6 +30,9 @@ _LONGEST_DISPATCH = 1 << 15
 _MARKS = 6
 """Binding of the masks: of the eight that every driver has, the one that is left."""
 
+_WET = 12
+"""Binding of the wet colours, past all blocks of records. Only the shader that blends them in has this ninth block."""
+
 _SAME_COLORS = np.eye(3, 4)
 
 
@@ -73,7 +76,8 @@ class ProjectionPass:
         store.reserve(slots.all)
         if field is not None:
             self.drops.find(field)
-        shader = self._projector(store)
+        is_wet = any(part.is_wet for part, _ in rows)
+        shader = self._projector(store, wet=is_wet)
         shader["intrinsics"] = (camera.fx, camera.fy, camera.cx, camera.cy)
         shader["image_size"] = (camera.width, camera.height)
         shader["near"] = NEAR_M
@@ -84,6 +88,8 @@ class ProjectionPass:
         for number, (part, is_rain) in enumerate(rows):
             shader["layer_color"] = layer_color(number)
             shader["is_rain"] = is_rain
+            if is_wet:
+                shader["wetness"] = part.wetness if part.is_wet else 0.0
             self._dispatch(shader, part, camera, first)
             first += _slots(part.drawn_count)
         if field is not None and rain is not None and isinstance(rain, FallingRain):
@@ -109,6 +115,9 @@ class ProjectionPass:
         object_to_camera = camera.world_to_camera @ part.to_world
         colors = _SAME_COLORS if part.colors is None else part.colors
         marks = self._arrays.marks(part.left_out, part.selected)
+        buffers = self._arrays.buffers(gaussians, part.wet_sh if part.is_wet else None)
+        if not part.is_wet:
+            self._arrays.keep(part.wet_sh)
         shader["growth"] = part.growth
         shader["layer_opacity"] = part.opacity
         shader["color_change"] = tuple(colors.T.ravel())
@@ -116,7 +125,7 @@ class ProjectionPass:
         shader["coefficients"] = gaussians.sh.shape[1]
         shader["object_to_camera"] = tuple(object_to_camera.T.ravel())
         shader["camera_in_object"] = tuple(np.linalg.inv(object_to_camera)[:3, 3])
-        for index, chunk in enumerate(self._arrays.buffers(gaussians).chunks()):
+        for index, chunk in enumerate(buffers.chunks()):
             count = min(CHUNK, part.drawn_count - index * CHUNK)
             if count <= 0:
                 break
@@ -124,12 +133,14 @@ class ProjectionPass:
                 buffer.bind_to_storage_buffer(binding)
             if marks:
                 marks[index].bind_to_storage_buffer(_MARKS)
+            if buffers.wet_sh:
+                buffers.wet_sh[index].bind_to_storage_buffer(_WET)
             shader["count"] = count
             shader["first_slot"] = first + index * CHUNK
             shader.run(-(-count // SLOTS_BY_BLOCK))
 
-    def _projector(self, store: SplatStore) -> moderngl.ComputeShader:
-        switches = {**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics]}
+    def _projector(self, store: SplatStore, *, wet: bool) -> moderngl.ComputeShader:
+        switches = {**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics]} | ({"WET": 1} if wet else {})
         key = tuple(switches.values())
         if key not in self._projectors:
             self._projectors[key] = load_compute_shader(self._context, "splat_project.comp", switches)

@@ -45,10 +45,12 @@ def draw_shot(
 ) -> None:
     """Draw a scene in its rain into the renderer's picture; without it where there is none, or with another look.
 
-    `thinning` leaves out some of each part's Gaussians; `selection` tints those that are selected.
+    The scene's wet colours come with the rain's wetness; without a rainfall it is clear. `thinning` leaves out some
+    of each part's Gaussians; `selection` tints those that are selected.
     """
     falling = rain_in(scene, rainfall, sky, shot) if rainfall is not None and look == "splats" else None
-    parts = scene.parts(shot.time_s, selection=selection)
+    wetness = rainfall.wetness_at(shot.time_s) if rainfall is not None else 0.0
+    parts = scene.parts(shot.time_s, selection=selection, wetness=wetness)
     if thinning is not None:
         parts = [thinning(part) for part in parts]
     renderer.draw(parts, shot.camera, falling, with_depth=with_depth, look=look)

@@ -93,7 +93,7 @@ class FrameSequence:
     ) -> Frame:
         """Render a frame; without a sky there is no rain. Depth is the scene's at its moment, one sample a pixel."""
         shots, rainfall = self._shots(number), None if sky is None else self.rainfall
-        color = (0.0, 0.0, 0.0) if sky is None else sky.color
+        color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.wetness_at(self.time_s(number)))
         at_once = with_depth and len(shots) == self.supersampling == 1
         times = self.supersampling
         frame = expose(renderer, self.scene, rainfall, color, shots, times, with_depth=at_once, look=look)

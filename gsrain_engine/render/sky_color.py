@@ -24,7 +24,17 @@ class Sky(NamedTuple):
     """A sky's mean colour, and whether the scene showed one."""
 
     color: Color
+    """While the scene is clear."""
     found: bool
+    wet_color: Color | None = None
+    """When the scene is soaked; none where it then looks the same."""
+
+    def at(self, wetness: float) -> Color:
+        """Colour at a wetness (0..1): between both ends as each Gaussian's own, in display values."""
+        if self.wet_color is None:
+            return self.color
+        red, green, blue = ((1 - wetness) * c + wetness * w for c, w in zip(self.color, self.wet_color, strict=True))
+        return red, green, blue
 
 
 def sky_color(renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0.0) -> Sky:
@@ -46,13 +56,23 @@ def looking_at_sky(
 ) -> Generator[None, None, Sky]:
     """Do what `sky_color` does, one picture a step, so that frames can go between them; the return value is the sky.
 
-    `thinning` leaves out some of the Gaussians, for a first answer.
+    `thinning` leaves out some of the Gaussians, for a first answer. A scene with wet colours is looked at twice.
     """
+    clear = yield from _mean_sky_seen(renderer, scene, place, time_s, thinning, wetness=0.0)
+    if clear is None or not scene.has_wet_colors:
+        return Sky(clear or OVERCAST, clear is not None)
+    return Sky(clear, True, (yield from _mean_sky_seen(renderer, scene, place, time_s, thinning, wetness=1.0)))
+
+
+def _mean_sky_seen(
+    renderer: Renderer, scene: Scene, place: Camera, time_s: float, thinning: Thinning | None, *, wetness: float
+) -> Generator[None, None, Color | None]:
+    """Mean colour of the sky around a place; None where hardly any is seen."""
     found: list[np.ndarray] = []
     sky = [layer for layer in scene.layers if layer.kind == "sky" and layer.visible]
     without_sky = replace(scene, layers=tuple(layer for layer in scene.layers if layer.kind != "sky"))
     for camera in _look_around(place):
-        renderer.draw(thinned(scene.parts(time_s), thinning), camera, with_depth=True)
+        renderer.draw(thinned(scene.parts(time_s, wetness=wetness), thinning), camera, with_depth=True)
         frame = renderer.read()
         assert frame.depth is not None
         alpha = frame.rgba[..., 3]
@@ -65,9 +85,7 @@ def looking_at_sky(
             mask = (alpha > 0.5) & (frame.depth > _FAR_M) & (np.arange(_HEIGHT)[:, None] < _horizon_row(camera))
         found.append(frame.rgba[mask][:, :3] / alpha[mask][:, None])
     colors = np.concatenate(found).astype(np.float64)
-    if len(colors) < _LEAST_PIXELS:
-        return Sky(OVERCAST, False)
-    return Sky(mean_sky(np.clip(colors, 0, 1)), True)
+    return mean_sky(np.clip(colors, 0, 1)) if len(colors) >= _LEAST_PIXELS else None
 
 
 def _look_around(place: Camera) -> list[Camera]:

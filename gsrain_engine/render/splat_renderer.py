@@ -16,7 +16,7 @@ from gsrain_engine.scene.members import Part
 from .context import is_software
 from .depth_sort import SLOTS, DepthSort
 from .frame import Frame
-from .gpu_arrays import CHUNK, GpuArrays, Harmonics
+from .gpu_arrays import CHUNK, GpuArrays, Harmonics, WetColors
 from .gpu_timers import GpuTimers
 from .host_sort import HostSort
 from .look import FARTHEST_M, MOST_FRAGMENTS, NEAREST_M, Look
@@ -123,9 +123,11 @@ class SplatRenderer:
         weighted, weight = np.moveaxis(self._fetch(depth), -1, 0)
         return Frame(rgba, np.where(weight > 0.5, weighted / np.maximum(weight, np.float32(0.5)), np.float32(0)))
 
-    def upload(self, gaussians: Gaussians, slice_size: int = CHUNK // 64) -> Iterator[float]:
-        """Bring Gaussians to the GPU ahead of their first frame, a slice at each step."""
-        return self.arrays.upload(gaussians, slice_size)
+    def upload(
+        self, gaussians: Gaussians, slice_size: int = CHUNK // 64, *, wet_sh: WetColors = None
+    ) -> Iterator[float]:
+        """Bring Gaussians, and their wet colours, to the GPU ahead of their first frame, a slice at each step."""
+        return self.arrays.upload(gaussians, slice_size, wet_sh=wet_sh)
 
     def _take_stock(self) -> None:
         """Ask the GPU what the last picture was made of."""

@@ -11,6 +11,7 @@ from .members import Part
 from .rotations import quaternion_product, quaternions_from_matrices
 from .scene import Scene, rotation_to_z_up
 from .spherical_harmonics import rotate_sh
+from .wet_colors import blended_sh
 
 FILE_UP = (0.0, -1.0, 0.0)
 """Upward in files that can't say it: y points down, as in COLMAP and thus in 3DGS captures."""
@@ -49,8 +50,11 @@ def flattened(scene: Scene, time_s: float = 0.0) -> Gaussians:
 
 
 def baked(part: Part) -> Gaussians:
-    """Return what remains of a part, with its opacity and grading in the Gaussians themselves."""
+    """Return what remains of a part, with its opacity, wetness and grading in the Gaussians themselves."""
     gaussians = part.remaining
+    if part.is_wet and part.wet_sh is not None:
+        wet_sh = part.wet_sh if not part.left_out else part.wet_sh[(~part.left_out).indices]
+        gaussians = gaussians.with_sh(blended_sh(gaussians.sh, wet_sh, part.wetness))
     if part.opacity != 1:
         gaussians = replace(gaussians, opacities=gaussians.opacities * np.float32(part.opacity))
     return gaussians if part.colors is None else gaussians.with_sh(graded(gaussians.sh, part.colors))

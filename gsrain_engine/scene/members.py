@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64, Int64
 
 from .gaussians import Gaussians
 from .grading import UNCHANGED, Grading
@@ -30,6 +30,15 @@ class Part(NamedTuple):
     """Multiplies each Gaussian's own."""
     colors: Float64[np.ndarray, "3 4"] | None = None
     """Affine change of display colours, before what is below 0 is cut off."""
+    wet_sh: Float32[np.ndarray, "n k 3"] | None = None
+    """Harmonics of the Gaussians when they are soaked; none where they have no wet colours."""
+    wetness: float = 0.0
+    """0..1: colours are (1 - wetness) of the clear ones and wetness of the wet ones."""
+
+    @property
+    def is_wet(self) -> bool:
+        """Whether there is anything of wet colours to be seen."""
+        return self.wet_sh is not None and self.wetness > 0
 
     @property
     def drawn_count(self) -> int:
@@ -54,6 +63,11 @@ class Member:
     grading: Grading = UNCHANGED
     marks: Marks = UNMARKED
     """Which of its Gaussians are selected, hidden or deleted."""
+    wet_sh: Float32[np.ndarray, "n k 3"] | None = None
+    """Harmonics of its Gaussians when they are soaked, as many as they have when clear; none where nobody knows them.
+
+    Treat the array as a value, and as one with `gaussians`: what reorders or turns the one does so with the other.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +79,9 @@ class Layer(Member):
     kind: Literal["background", "sky"] = "background"
     to_scene: Float64[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
     """Similarity from the Gaussians' own units and axes to the scene's."""
+
+    def __post_init__(self) -> None:
+        _check_wet_colors(self.key, self.gaussians, self.wet_sh)
 
     @property
     def key(self) -> str:
@@ -86,6 +103,9 @@ class Actor(Member):
     gaussians: Gaussians
     track: Track
 
+    def __post_init__(self) -> None:
+        _check_wet_colors(self.key, self.gaussians, self.wet_sh)
+
     @property
     def key(self) -> str:
         """Name among all members of a scene."""
@@ -99,3 +119,17 @@ class Actor(Member):
     def way(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
         """Pose in the scene at a time; None while it is not there."""
         return self.track.pose(time_s)
+
+
+def rows_of(
+    member: Layer | Actor, indices: Int64[np.ndarray, " m"]
+) -> tuple[Gaussians, Float32[np.ndarray, "m k 3"] | None]:
+    """Pick Gaussians of a member by index, with their wet colours."""
+    return member.gaussians.take(indices), None if member.wet_sh is None else member.wet_sh[indices]
+
+
+def _check_wet_colors(key: str, gaussians: Gaussians, wet_sh: Float32[np.ndarray, "_ _ 3"] | None) -> None:
+    if wet_sh is not None and wet_sh.shape != gaussians.sh.shape:
+        raise ValueError(
+            f"{key}: wet colours have shape {wet_sh.shape}, expected {gaussians.sh.shape} as the clear ones"
+        )

@@ -9,6 +9,7 @@ from jaxtyping import Float64
 
 from .camera_path import CameraPath
 from .grading import UNCHANGED
+from .identity import Identity
 from .mask import Mask
 from .members import Actor, Layer, Part
 from .track import Track
@@ -75,7 +76,7 @@ class Scene:
     def matter(self) -> Hashable:
         """What is there to be seen and sheltered under: equal where only selection, locks and names differ."""
         shown = [
-            (each.gaussians, each.marks.left_out, each.opacity, each.grading)
+            (each.gaussians, Identity(each.wet_sh), each.marks.left_out, each.opacity, each.grading)
             + ((each.kind, each.to_scene.tobytes()) if isinstance(each, Layer) else (each.track,))
             for each in self.members
             if each.visible
@@ -106,13 +107,23 @@ class Scene:
         deleted = sum(each.marks.deleted.size for each in self.members if each.marks.deleted is not None)
         return sum(len(each.gaussians) for each in self.members) - deleted
 
-    def parts(self, time_s: float = 0.0, *, selection: bool = False) -> list[Part]:
-        """What can be seen at a time: layers first, then actors. `selection` has the selected ones tinted."""
-        parts = [self.part(each, time_s, selection=selection) for each in self.members if each.visible]
+    @property
+    def has_wet_colors(self) -> bool:
+        """Whether anything that can be seen looks different when it is wet."""
+        return any(each.wet_sh is not None for each in self.members if each.visible)
+
+    def parts(self, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0) -> list[Part]:
+        """What can be seen at a time: layers first, then actors.
+
+        `selection` has the selected ones tinted; `wetness` (0..1) blends in the wet colours of those that have them.
+        """
+        parts = [self.part(each, time_s, selection=selection, wetness=wetness) for each in self.members if each.visible]
         return [part for part in parts if part is not None]
 
-    def part(self, member: Layer | Actor, time_s: float = 0.0, *, selection: bool = False) -> Part | None:
-        """What of a member is drawn at a time; None while it is not there."""
+    def part(
+        self, member: Layer | Actor, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0
+    ) -> Part | None:
+        """What of a member is drawn at a time; None while it is not there. See `parts`."""
         way = member.way(time_s)
         if way is None:
             return None
@@ -123,6 +134,8 @@ class Scene:
             selected=member.marks.selected if selection else None,
             opacity=member.opacity,
             colors=None if member.grading == UNCHANGED else member.grading.matrix,
+            wet_sh=member.wet_sh,
+            wetness=0.0 if member.wet_sh is None else wetness,
         )
 
     def ego_to_world(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:

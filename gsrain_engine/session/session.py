@@ -3,7 +3,6 @@
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,9 +18,11 @@ from gsrain_engine.rain.saved_rain import rain_of, weather_of
 from gsrain_engine.rain.weather import WITHOUT_CHANGE, Weather
 from gsrain_engine.render.frame import Color
 from gsrain_engine.render.scene_view import Shot
+from gsrain_engine.render.sky_color import Sky
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 
+from .capture.capture_view import CaptureView
 from .edited_document import EditedDocument
 from .files.kept_preferences import KeptPreferences
 from .files.kept_view import look_again
@@ -30,12 +31,12 @@ from .files.preferences import Preferences
 from .files.scene_files import SceneFiles
 from .history import Document, History
 from .jobs.background_job import BackgroundJob, JobPreview
-from .jobs.rainy_look import with_gaussians_of
-from .jobs.rainy_look_job import RainyLookJob
 from .jobs.recorder import Recorder
 from .jobs.recording_job import RecordingJob
+from .jobs.scene_job import SceneJob, SceneTask
 from .log import LogLines, told
 from .picture.interaction_budget import EXACT, Detail, InteractionBudget
+from .picture.screenshot_name import new_screenshot
 from .picture.side import Side
 from .picture.sky_pick import SkyPick
 from .question import Answer, Question, nothing
@@ -47,7 +48,7 @@ from .timeline.rows import content_span
 from .timeline.shower_view import ShowerView
 from .timeline.timeline import Timeline
 from .view.following import Following
-from .view.home_camera import home_camera, scene_bounds
+from .view.home_camera import home_navigation, scene_bounds
 from .view.navigation import Navigation
 from .view.ride import Ride
 from .view.view_options import ViewOptions
@@ -77,7 +78,8 @@ class Session(EditedDocument):
         self.previews: dict[BackgroundJob, JobPreview] = {}
         """What running jobs show of their work."""
         self.staged: StagedScene | None = None
-        self.sky: Color = OVERCAST
+        self.sky_seen = Sky(OVERCAST, found=False)
+        """What the live view saw when it looked at the sky last."""
         self.sky_is_stale = True
         """Whether the live view should look at the sky again: it is another scene's."""
         self.is_compiling = False
@@ -100,6 +102,7 @@ class Session(EditedDocument):
         """The part of the next picture whose colour drops are to take."""
         self.shower = ShowerView()
         self.lab = RainLab()
+        self.captures = CaptureView()
         self.selecting = SelectionOptions()
         self._files = ThreadPoolExecutor(max_workers=1, thread_name_prefix="files")
         self.questions: list[Question] = []
@@ -116,7 +119,7 @@ class Session(EditedDocument):
         self._preferences = KeptPreferences(self._files)
         if self._preferences.trouble is not None:
             self.ask(Question("Preferences", self._preferences.trouble, (Answer("OK", nothing),)))
-        self._enter_scene()
+        self.enter_scene()
 
     # Files
 
@@ -145,7 +148,7 @@ class Session(EditedDocument):
         self.history = History.beginning_with(Document(scene, rain, weather))
         self.files.enter(opened, self.history.present)
         self._follow_document()
-        self._enter_scene()
+        self.enter_scene()
         if scene.view is not None:
             look_again(self, scene.view)
 
@@ -176,7 +179,8 @@ class Session(EditedDocument):
     @property
     def is_working(self) -> bool:
         """Whether anything goes on in the background that a frame should look after."""
-        return bool(self.running_jobs) or self.busy is not None or self.staged is not None or self.lab.busy is not None
+        waits = self.lab.busy is not None or self.captures.is_working
+        return bool(self.running_jobs) or self.busy is not None or self.staged is not None or waits
 
     # Questions and preferences
 
@@ -218,10 +222,9 @@ class Session(EditedDocument):
         """Look after a job from now on."""
         self.jobs.append(job)
 
-    def make_rainy(self) -> None:
-        """Start the job "Make it rainy (preview)"; one at a time."""
-        if not any(isinstance(job, RainyLookJob) for job in self.running_jobs):
-            self.start(RainyLookJob(self.scene, self._files, self.files.known))
+    def start_task(self, task: SceneTask) -> None:
+        """Start a job whose result is a scene; its files are read and written in the session's thread."""
+        self.start(SceneJob(task, self._files))
 
     def clear_jobs(self) -> None:
         """Forget the jobs that have ended."""
@@ -238,15 +241,9 @@ class Session(EditedDocument):
 
     def swap_in(self) -> None:
         """Show the staged scene: its Gaussians are where the next frame needs them."""
-        if self.staged is None:
-            return
         staged, self.staged = self.staged, None
-        if staged.is_opened:
-            self.enter(self.files.arrive(staged.scene))
-            logger.info("Opened %s: %s Gaussians", staged.label, f"{staged.scene.gaussian_count:,}")
-        else:
-            self.set_scene(staged.label, with_gaussians_of(self.scene, staged.scene))
-            logger.info("%s: done", staged.label)
+        if staged is not None:
+            staged.arrive(self)
 
     # Time and view
 
@@ -261,10 +258,21 @@ class Session(EditedDocument):
         if self.rain.roofs and not waits and (self._roofs is None or self._roofs[0].matter != self.scene.matter):
             self._roofs = self.scene, self._files.submit(roofs_of, self.scene)
         self.lab.poll()
+        self.captures.poll(self)
         for job in self.running_jobs:
             job.poll(self)
             if job.error is not None:
                 logger.error("%s failed: %s", job.title, job.error)
+
+    @property
+    def wetness_now(self) -> float:
+        """Share of the soaked colours at the present time, 0..1."""
+        return self.rainfall.wetness_at(self.clock.time_s)
+
+    @property
+    def sky(self) -> Color:
+        """Colour of the scene's sky at the present time, which drops take."""
+        return self.sky_seen.at(self.wetness_now)
 
     @property
     def sides(self) -> list[Side]:
@@ -272,7 +280,7 @@ class Session(EditedDocument):
         shown = self.scene if self._shown_preview is None else self._shown_preview
         here = Side("", shown, self._drawn_rainfall)
         if self.view.split == "clear | rainy":
-            clear = msgspec.structs.replace(self.rain, intensity_mm_h=0.0)
+            clear = self.rain.without_rain
             return [Side("clear", self.scene, self._rainfall_of(clear, WITHOUT_CHANGE)), here._replace(label="rainy")]
         if self.view.split == "before | after":
             before = self.history.previous
@@ -317,14 +325,7 @@ class Session(EditedDocument):
 
     def take_screenshot(self, folder: Path | None = None) -> None:
         """Save the next picture under the present date and time, by default in the person's pictures folder."""
-        folder = folder or Path(platformdirs.user_pictures_dir())
-        name = f"gsrain_{datetime.now():%Y-%m-%d_%H-%M-%S}"
-        taken = {each.name for each in folder.glob(f"{name}*.png")}
-        chosen, number = f"{name}.png", 1
-        while chosen in taken:
-            number += 1
-            chosen = f"{name}_{number}.png"
-        self.screenshot = folder / chosen
+        self.screenshot = new_screenshot(folder or Path(platformdirs.user_pictures_dir()))
 
     def frame_scene(self) -> None:
         """Back off until the whole scene can be seen."""
@@ -332,12 +333,7 @@ class Session(EditedDocument):
 
     def go_home(self) -> None:
         """Go to where the scene is first looked at from."""
-        camera = home_camera(self.scene, *_VIEW_SIZE)
-        self.navigation = Navigation(speed_m_s=self.navigation.speed_m_s)
-        self.navigation.look_like(camera)
-        low, high = scene_bounds(self.scene)
-        in_front = float(camera.world_to_camera[2, :3] @ ((low + high) / 2) + camera.world_to_camera[2, 3])
-        self.navigation.distance_m = float(np.clip(in_front, 1.0, 20.0))
+        self.navigation = home_navigation(self.scene, *_VIEW_SIZE, self.navigation.speed_m_s)
 
     def close(self) -> None:
         """Stop everything that runs. To be called once more does nothing."""
@@ -349,6 +345,7 @@ class Session(EditedDocument):
         self._preferences.close()
         self._files.shutdown()
         self.lab.close()
+        self.captures.close()
         logger.removeHandler(self.log)
 
     @property
@@ -387,7 +384,8 @@ class Session(EditedDocument):
             step = new @ np.linalg.inv(old)
             self.navigation.carry(step)
 
-    def _enter_scene(self) -> None:
+    def enter_scene(self) -> None:
+        """Begin anew with the view and the timeline: this is another place."""
         self._ride, self.timeline, self.clock.span_s = Ride(), Timeline(), None
         self.go_home()
         self.sky_is_stale = True

@@ -3,7 +3,8 @@ import numpy as np
 from gsrain_engine.raster.projection import view_directions
 from gsrain_engine.raster.spherical_harmonics import harmonics
 from gsrain_engine.raster.view_weights import view_weights
-from gsrain_engine.reconstruct.recolor import ColorTarget, apply_normal, colors_seen, solve_colors
+from gsrain_engine.reconstruct.recolor import ColorTarget, apply_normal, colors_seen, plain_pull, solve_colors
+from gsrain_engine.reconstruct.recolor_weights import weights_of
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.members import Part
@@ -25,14 +26,16 @@ def around(angle: float) -> Camera:
     return Camera.from_fov(48, 40, 40, look_at(eye, np.zeros(3), np.array([0.0, 0, 1])))
 
 
-def views_of(part: Part, truth: np.ndarray, count: int = 6) -> list[ColorTarget]:
+def views_of(part: Part, truth: np.ndarray, count: int = 6, most_bytes: float = np.inf) -> list[ColorTarget]:
     targets = []
     for angle in np.linspace(0, 2 * np.pi, count, endpoint=False):
         camera = around(angle)
-        weights = view_weights([part], camera)
-        indices = weights.splats.indices
+        view = view_weights([part], camera)
+        weights = weights_of(view, most_bytes)
+        indices = view.splats.indices[weights.rows]
         basis = harmonics(view_directions([part], camera, indices), truth.shape[1])
-        targets.append(ColorTarget(weights, indices, basis, weights.blend(colors_seen(truth, indices, basis))))
+        wanted = weights.blend(colors_seen(truth, indices, basis))
+        targets.append(ColorTarget(weights, indices, basis, wanted, np.ones(wanted.shape[:2], np.float32)))
     return targets
 
 
@@ -40,7 +43,7 @@ def run(solver):
     lengths = []
     while True:
         try:
-            lengths.append(next(solver))
+            lengths.append(next(solver).length)
         except StopIteration as end:
             return lengths, end.value
 
@@ -70,7 +73,7 @@ def test_known_colors_explain_the_views_again():
     part = ball()
     targets = views_of(part, truth_of(300))
     start = squared_error(targets, np.zeros((300, 4, 3), np.float32))
-    lengths, change = run(solve_colors(targets, 300, 15, tikhonov=1e-3))
+    lengths, change = run(solve_colors(targets, 300, 15, plain_pull(4, 1e-3)))
     assert len(lengths) == 15
     assert lengths[-1] < 0.05
     assert squared_error(targets, change) < 1e-2 * start
@@ -89,7 +92,7 @@ def test_the_solution_is_that_of_a_dense_solver():
         gathered = target.weights.accumulate(target.residual)
         right[target.indices] += target.basis * gathered
     dense = np.linalg.solve(matrix + 0.3 * np.eye(40), right)
-    _, change = run(solve_colors(targets, 40, 60, tikhonov=0.3))
+    _, change = run(solve_colors(targets, 40, 60, plain_pull(1, 0.3)))
     np.testing.assert_allclose(change[:, 0], dense, atol=2e-3)
 
 
@@ -98,7 +101,7 @@ def test_what_no_view_sees_does_not_change():
     g = part.gaussians
     behind = Gaussians(g.means + np.float32(100), g.scales, g.quaternions, g.opacities, g.sh)
     both = Part(Gaussians.concatenate([g, behind]), np.eye(4))
-    _, change = run(solve_colors(views_of(both, truth_of(100)), 100, 8))
+    _, change = run(solve_colors(views_of(both, truth_of(100)), 100, 8, plain_pull(4)))
     assert not change[50:].any()
     assert np.abs(change[:50]).max() > 0.1
 
@@ -106,8 +109,10 @@ def test_what_no_view_sees_does_not_change():
 def test_forbidden_harmonics_stay():
     part = ball(50)
     targets = views_of(part, truth_of(50))
-    only_plain = [ColorTarget(t.weights, t.indices, t.basis * np.float32([1, 0, 0, 0]), t.residual) for t in targets]
-    _, change = run(solve_colors(only_plain, 50, 8))
+    only_plain = [
+        ColorTarget(t.weights, t.indices, t.basis * np.float32([1, 0, 0, 0]), t.residual, t.trust) for t in targets
+    ]
+    _, change = run(solve_colors(only_plain, 50, 8, plain_pull(4)))
     assert not change[:, 1:].any()
     assert change[:, 0].any()
 
@@ -115,12 +120,12 @@ def test_forbidden_harmonics_stay():
 def test_views_that_are_explained_already_need_no_step():
     part = ball(50)
     targets = views_of(part, np.zeros((50, 4, 3), np.float32))
-    lengths, change = run(solve_colors(targets, 50, 8))
+    lengths, change = run(solve_colors(targets, 50, 8, plain_pull(4)))
     assert lengths == []
     assert not change.any()
 
 
 def test_the_same_bytes_every_time():
     part = ball()
-    first, second = (run(solve_colors(views_of(part, truth_of(300)), 300, 4))[1] for _ in range(2))
+    first, second = (run(solve_colors(views_of(part, truth_of(300)), 300, 4, plain_pull(4)))[1] for _ in range(2))
     assert first.tobytes() == second.tobytes()

@@ -1,6 +1,7 @@
 """The one table of actions, in the order of the menus."""
 
 from .action import Action
+from .capture import CAPTURE_ACTIONS, CAPTURE_FILE_ACTIONS
 from .edits import EDIT_ACTIONS
 from .file import FILE_ACTIONS, LEAVING_ACTIONS
 from .help import HELP_ACTIONS
@@ -14,6 +15,7 @@ from .view import VIEW_ACTIONS
 
 ACTIONS: tuple[Action, ...] = (
     *FILE_ACTIONS,
+    *CAPTURE_FILE_ACTIONS,
     *RECORD_ACTIONS,
     *HISTORY_ACTIONS,
     *EDIT_ACTIONS,
@@ -22,6 +24,7 @@ ACTIONS: tuple[Action, ...] = (
     *JOB_ACTIONS,
     *TIMELINE_ACTIONS,
     *VIEW_ACTIONS,
+    *CAPTURE_ACTIONS,
     *HELP_ACTIONS,
     *LEAVING_ACTIONS,
 )

@@ -1,9 +1,12 @@
 """The Jobs panel: start, watch and cancel background work."""
 
+import webbrowser
+
 from imgui_bundle import ImVec2, imgui
 
 from gsrain_engine.session.jobs.background_job import BackgroundJob
-from gsrain_engine.session.jobs.rainy_look_job import TITLE
+from gsrain_engine.session.jobs.rainy_look_job import TITLE, make_rainy_look
+from gsrain_engine.session.jobs.scene_job import SceneJob
 from gsrain_engine.session.session import Session
 
 from .rain_panel import WARNING
@@ -15,9 +18,11 @@ def jobs_panel(session: Session) -> None:
     """Draw the panel."""
     imgui.begin_disabled(bool(session.running_jobs) or session.staged is not None)
     if imgui.button(TITLE, (-1, 0)):
-        session.make_rainy()
+        make_rainy_look(session)
     imgui.end_disabled()
-    imgui.set_item_tooltip("Give the scene an overcast sky and a wet road; undo brings the clear one back.")
+    imgui.set_item_tooltip(
+        "Give the scene an overcast sky and a wet road, which come with the rain's intensity; undo takes them back."
+    )
     for number, job in reversed(list(enumerate(session.jobs))):
         imgui.separator_text(job.title)
         _job(session, job, number)
@@ -40,7 +45,11 @@ def _job(session: Session, job: BackgroundJob, number: int) -> None:
             imgui.text_unformatted(job.details)
             imgui.tree_pop()
     else:
-        imgui.text(job.progress.message if job.state == "finished" else "Cancelled")
+        imgui.text_wrapped(job.progress.message if job.state == "finished" else "Cancelled")
+        if isinstance(job, SceneJob) and job.report is not None:
+            if imgui.button(f"Report##{number}", (-1, 0)):
+                webbrowser.open(job.report.as_uri())
+            imgui.set_item_tooltip(f"Show the curves, the held-out views and the timings in a browser: {job.report}")
 
 
 def _preview(session: Session, job: BackgroundJob) -> None:

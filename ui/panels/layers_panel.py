@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
 from gsrain_engine.scene.members import Actor, Layer
+from gsrain_engine.scene.wet_colors import without_wet_colors
 from gsrain_engine.session.edits import layers
 from gsrain_engine.session.session import Session
 
@@ -104,11 +105,13 @@ def _icon(icon: str, name: str, help_text: str, *, bright: bool) -> bool:
 def _name(session: Session, member: Layer | Actor) -> None:
     key = member.key
     is_chosen = session.view.member == key or key in _marked.keys
-    words = f"{member.name}###{key.replace('/', ' ')}"
+    drop = "" if member.wet_sh is None else f" {_ICONS.ICON_FA_DROPLET}"
+    words = f"{member.name}{drop}###{key.replace('/', ' ')}"
     imgui.align_text_to_frame_padding()
     clicked, _ = imgui.selectable(words, is_chosen, imgui.SelectableFlags_.allow_double_click)
     kind = f"actor, {member.class_name}" if isinstance(member, Actor) else member.kind
-    imgui.set_item_tooltip(f"{kind}. Double click renames; right click for more; Ctrl marks several to merge.")
+    wet = "" if member.wet_sh is None else " Has wet colours, which come with the wetness of the Rain panel."
+    imgui.set_item_tooltip(f"{kind}.{wet} Double click renames; right click for more; Ctrl marks several to merge.")
     if clicked and imgui.get_io().key_ctrl:
         _marked.keys = [each for each in _marked.keys if each != key] if key in _marked.keys else [*_marked.keys, key]
     elif clicked:
@@ -151,6 +154,8 @@ def _menu(session: Session, member: Layer | Actor) -> None:
     if imgui.menu_item("Move down", "", False)[0]:
         session.edit(f"Move {name} down", layers.move_down, key)
     imgui.separator()
+    if imgui.menu_item("Remove wet colours", "", False, member.wet_sh is not None and not member.locked)[0]:
+        session.edit(f"Remove wet colours of {name}", without_wet_colors, key)
     if imgui.menu_item("Remove", "", False, not member.locked)[0]:
         session.edit(f"Remove {name}", layers.remove, key)
 

@@ -10,6 +10,7 @@ from gsrain_engine.session.session import Session
 from ..widgets import fields
 from ..widgets.key_button import key_button, key_button_width, keyed_slider, tint_keyed
 from .drop_color import drop_color
+from .wetness_fields import wetness_fields
 
 WARNING = ImVec4(1.0, 0.72, 0.3, 1.0)
 _HIGHEST_MM_H = 100.0
@@ -26,6 +27,7 @@ def rain_panel(session: Session) -> None:
     imgui.same_line()
     fields.toggle(session, "roofs")
     drop_color(session)
+    wetness_fields(session)
     if session.rain.exaggeration:
         imgui.text_colored(WARNING, session.rain.exaggeration)
     if imgui.collapsing_header("Wind and seed"):
@@ -45,6 +47,7 @@ def rain_panel(session: Session) -> None:
             fields.slider(session, name, high=10.0)
         for name in ("critical_haze_coefficient", "haze_opacity", "haze_sigma_m"):
             fields.slider(session, name, logarithmic=True)
+        fields.slider(session, "drying_s", high=600.0)
 
 
 def _presets(session: Session) -> None:

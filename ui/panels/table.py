@@ -7,6 +7,7 @@ from typing import Literal
 from gsrain_engine.session.session import Session
 
 from .calibration_panel import calibration_panel
+from .capture_panel import capture_panel
 from .disdrometer_panel import disdrometer_panel
 from .display_panel import display_panel
 from .edit_panel import edit_panel
@@ -42,6 +43,7 @@ PANELS = (
     Panel("Select", "right", select_panel),
     Panel("Record", "right", record_panel),
     Panel("Calibration", "right", calibration_panel),
+    Panel("Capture", "right", capture_panel),
     Panel("Read-out", "right bottom", rain_readout_panel),
     Panel("Shower", "right bottom", shower_panel),
     Panel("Disdrometer", "right bottom", disdrometer_panel),

@@ -1,4 +1,4 @@
-"""Scene folders: `scene.json`, and one 3DGS PLY a layer and actor."""
+"""Scene folders: `scene.json`, one 3DGS PLY a layer and actor, and their wet colours beside them."""
 
 import glob
 import hashlib
@@ -16,8 +16,10 @@ from ..file_lock import locked
 from ..gaussians import Gaussians
 from ..members import Actor, Layer
 from ..scene import Scene
+from .checks import check_finite
 from .gaussian_files import check_writable, read_gaussians
-from .known_files import KnownFiles
+from .harmonics_file import SUFFIX, read_harmonics, write_harmonics
+from .known_files import Contents, KnownFiles
 from .ply import write_ply
 from .scene_record import SCENE_VERSION, SceneRecord, places_not_finite, record_of, scene_of
 
@@ -26,8 +28,8 @@ SCENE_FILE = "scene.json"
 _LARGEST_SCENE_FILE = 1 << 26
 """Bytes; a track of an hour at 10 Hz takes 5 MB; a mask of a million Gaussians at most 0.17 MB."""
 
-_OURS = re.compile(r"\d{3}-.+-[0-9a-f]{12}\.ply|\.\d{3}-.+\.part|\.scene\.json\.[0-9a-f]{8}\.part")
-"""Names that only we give: a writer that was killed leaves such files behind."""
+_OURS = re.compile(r"\d{3}-.+-([0-9a-f]{12})\.(?:ply|wet\.npy)|\.\d{3}-.+\.part|\.scene\.json\.[0-9a-f]{8}\.part")
+"""Names that only we give: a writer that was killed leaves such files behind. The group is the hash of the contents."""
 _ABANDONED_S = 600.0
 """What another process has not touched for so long, it does not write any more."""
 
@@ -49,15 +51,20 @@ def read_scene_folder(folder: Path, known: KnownFiles | None = None) -> Scene:
     record = _read_record(folder)
     try:
         places = _places(folder, record)
-        gaussians = [read_gaussians(place) for place in places]
+        gaussians = [read_gaussians(places[file]) for file in record.files]
+        wet = [
+            None if file is None else read_harmonics(places[file], each.sh.shape)
+            for file, each in zip(record.wet_files, gaussians, strict=True)
+        ]
     except (SceneFormatError, FileNotFoundError):
         if _read_record(folder) == record:
             raise
         return read_scene_folder(folder, known)  # another process has replaced the scene, and its files, meanwhile
     if known is not None:
-        known.remember(folder, list(zip(gaussians, places, strict=True)))
+        read = [*gaussians, *(each for each in wet if each is not None)]
+        known.remember(folder, list(zip(read, places.values(), strict=True)))
     try:
-        return scene_of(record, gaussians)
+        return scene_of(record, gaussians, wet)
     except ValueError as error:
         raise SceneFormatError(folder / SCENE_FILE, str(error)) from None
 
@@ -99,15 +106,15 @@ def write_scene_folder(
     if _is_new(folder):
         _remove_abandoned(folder)
         with whole_folder(folder) as beside:
-            files = writer.write(beside, set())
-        files = [folder / file.relative_to(beside) for file in files]
+            placed = writer.write(beside, set())
+        placed = [(contents, folder / file.relative_to(beside)) for contents, file in placed]
     else:
         with locked(folder):
             old = _replaceable_files(folder)
-            files = writer.write(folder, old)
-            for file in (old | _leftovers(folder)) - set(files):
+            placed = writer.write(folder, old)
+            for file in (old | _leftovers(folder)) - {file for _, file in placed}:
                 file.unlink(missing_ok=True)
-    writer.known.remember(folder, [(each.gaussians, file) for each, file in zip(scene.members, files, strict=True)])
+    writer.known.remember(folder, placed)
 
 
 def _check_writable(scene: Scene, folder: Path, known: KnownFiles) -> None:
@@ -116,6 +123,8 @@ def _check_writable(scene: Scene, folder: Path, known: KnownFiles) -> None:
     for member in scene.members:
         if known.file_anywhere(member.gaussians) is None:  # those that came from a file were checked then
             check_writable(folder, member.gaussians, f" of {_kind(member)[:-1]} {member.name!r}")
+        if member.wet_sh is not None and known.file_anywhere(member.wet_sh) is None:
+            check_finite(folder, {f"wet colour of {_kind(member)[:-1]} {member.name!r}": member.wet_sh})
     record = record_of(scene, [""] * len(gaussians))
     path = folder / SCENE_FILE
     for place in places_not_finite(msgspec.to_builtins(record)):
@@ -138,7 +147,7 @@ def _replaceable_files(folder: Path) -> set[Path]:
         raise SceneFormatError(folder, f"not replaced: it holds files but no {SCENE_FILE}, so it is no scene folder")
     _checked_version(folder)
     try:
-        return set(_places(folder, _read_record(folder)))
+        return set(_places(folder, _read_record(folder)).values())
     except SceneFormatError:
         return set()  # a damaged scene may be replaced; what its files were can't be known
 
@@ -165,56 +174,65 @@ class _Writer:
         self._linking = linking
         self._in_drawing_order = in_drawing_order
 
-    def write(self, folder: Path, kept: set[Path]) -> list[Path]:
+    def write(self, folder: Path, kept: set[Path]) -> list[tuple[Contents, Path]]:
         """Write files and `scene.json`; on failure remove again what was written, but for the files in `kept`.
 
-        Returns the files of all layers, then of all actors.
+        Returns which file holds what.
         """
-        files: list[Path] = []
+        placed: list[tuple[Contents, Path]] = []
         written: set[Path] = set()
+
+        def placed_at(member: Layer | Actor, index: int, contents: Contents) -> str:
+            file = self.known.file_in(folder, contents, {file for _, file in placed})
+            if file is None or file not in kept:
+                file = self._written(member.name, contents, folder / _kind(member), index)
+                written.add(file)
+            placed.append((contents, file))
+            return file.relative_to(folder).as_posix()
+
         try:
-            for member in self.scene.members:
-                file = self.known.file_in(folder, member.gaussians, set(files))
-                if file is None or file not in kept:
-                    file = self._written(member, folder / _kind(member), len(files))
-                    written.add(file)
-                files.append(file)
+            members = list(enumerate(self.scene.members))
+            names = [placed_at(each, index, each.gaussians) for index, each in members]
+            wet_names = [
+                None if each.wet_sh is None else placed_at(each, index, each.wet_sh) for index, each in members
+            ]
             for kind in {file.parent for file in written}:
                 sync(kind)
-            names = [file.relative_to(folder).as_posix() for file in files]
-            record = record_of(self.scene, names, in_drawing_order=self._in_drawing_order)
+            record = record_of(self.scene, names, wet_names, in_drawing_order=self._in_drawing_order)
             with whole_file(folder / SCENE_FILE) as beside:
                 beside.write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=1))
         except BaseException:
             for file in written - kept:
                 file.unlink(missing_ok=True)
             raise
-        return files
+        return placed
 
-    def _written(self, member: Layer | Actor, folder: Path, index: int) -> Path:
-        """Write one PLY whose name ends in a hash of its bytes, so that it never stands in the place of another."""
+    def _written(self, name: str, contents: Contents, folder: Path, index: int) -> Path:
+        """Write one file whose name ends in a hash of its bytes, so that it never stands in the place of another."""
         folder.mkdir(exist_ok=True)
-        label = re.sub(r"[^a-z0-9]+", "-", member.name.lower()).strip("-")[:40] or "unnamed"
+        label = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:40] or "unnamed"
         beside = folder / f".{index:03d}-{label}.part"
         try:
-            digest = self._linked(member.gaussians, beside)
+            digest = self._linked(contents, beside)
             if digest is None:
-                write_ply(member.gaussians, beside)
+                _write_contents(contents, beside)
                 sync(beside)
                 with beside.open("rb") as file:
                     digest = hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=6)).hexdigest()
-            return beside.replace(folder / f"{index:03d}-{label}-{digest}.ply")
+            suffix = ".ply" if isinstance(contents, Gaussians) else SUFFIX
+            return beside.replace(folder / f"{index:03d}-{label}-{digest}{suffix}")
         finally:
             beside.unlink(missing_ok=True)
 
-    def _linked(self, gaussians: Gaussians, target: Path) -> str | None:
-        """Give a file of ours that holds these Gaussians a second name; returns the hash that its first name ends in.
+    def _linked(self, contents: Contents, target: Path) -> str | None:
+        """Give a file of ours that holds these values a second name; returns the hash that its first name ends in.
 
         Where the disk can't do that, the file is copied: written anew, numbers could differ in their last bits. None
         where there is no such file.
         """
-        source = self.known.file_anywhere(gaussians) if self._linking else None
-        if source is None or not _OURS.fullmatch(source.name):
+        source = self.known.file_anywhere(contents) if self._linking else None
+        ours = None if source is None else _OURS.fullmatch(source.name)
+        if source is None or ours is None:
             return None
         target.unlink(missing_ok=True)
         try:
@@ -222,7 +240,14 @@ class _Writer:
         except OSError:  # another disk, or one without second names
             shutil.copyfile(source, target)
             sync(target)
-        return source.stem.rpartition("-")[2]
+        return ours[1]
+
+
+def _write_contents(contents: Contents, path: Path) -> None:
+    if isinstance(contents, Gaussians):
+        write_ply(contents, path)
+    else:
+        write_harmonics(contents, path)
 
 
 def _kind(member: Layer | Actor) -> str:
@@ -255,16 +280,16 @@ def _checked_version(folder: Path) -> bytes:
     return data
 
 
-def _places(folder: Path, record: SceneRecord) -> list[Path]:
-    """Where a record's files are; every one inside the folder and used once."""
-    places: list[Path] = []
-    for file in record.files:
+def _places(folder: Path, record: SceneRecord) -> dict[str, Path]:
+    """Where a record's files are, in their order; every one inside the folder and used once."""
+    places: dict[str, Path] = {}
+    for file in record.every_file:
         place = (folder / file.replace("\0", "?")).resolve()
         if Path(file).is_absolute() or not place.is_relative_to(folder.resolve()):
             raise SceneFormatError(folder / SCENE_FILE, f"file {file!r} must lie inside the scene folder")
         if not place.is_file():
             raise SceneFormatError(folder / SCENE_FILE, f"there is no file {file!r} in the scene folder")
-        if place in places:
+        if place in places.values():
             raise SceneFormatError(folder / SCENE_FILE, f"file {file!r} must belong to one layer or actor only")
-        places.append(place)
+        places[file] = place
     return places

@@ -1,12 +1,12 @@
 """What stands in `scene.json`: plain values that msgspec checks, and the way from and to `Scene`."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 from msgspec import Meta
 
 from ..camera import DEFAULT_EXPOSURE_S
@@ -18,7 +18,7 @@ from .marks_record import MarksRecord, marks_of, marks_record, selections_of, se
 from .path_record import PathRecord, path_of, path_record
 from .track_record import TrackRecord, Vector, track_of, track_record
 
-SCENE_VERSION = 2
+SCENE_VERSION = 3
 """Raised when a field is added. Each field has a default that says what older files meant, so that they can be read."""
 
 Row = tuple[float, float, float, float]
@@ -27,14 +27,17 @@ Positive = Annotated[float, Meta(gt=0)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 Pixels = Annotated[int, Meta(ge=1, le=16384)]
 
+WetColors = Float32[np.ndarray, "_ _ 3"] | None
+
 _IDENTITY: Matrix = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
 class LayerRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A `Layer`; `file` is relative to the scene folder."""
+    """A `Layer`; `file` and `wet_file` are relative to the scene folder."""
 
     name: str
     file: str
+    wet_file: str | None = None
     kind: Literal["background", "sky"] = "background"
     visible: bool = True
     locked: bool = False
@@ -45,11 +48,12 @@ class LayerRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class ActorRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An `Actor`; `file` is relative to the scene folder."""
+    """An `Actor`; `file` and `wet_file` are relative to the scene folder."""
 
     id: str
     file: str
     track: TrackRecord
+    wet_file: str | None = None
     class_name: str = msgspec.field(default="", name="class")
     size_lwh: Vector = (0.0, 0.0, 0.0)
     visible: bool = True
@@ -98,18 +102,30 @@ class SceneRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         """Files of all layers, then of all actors."""
         return [each.file for each in (*self.layers, *self.actors)]
 
+    @property
+    def wet_files(self) -> list[str | None]:
+        """Files of the wet colours of all layers, then of all actors; None for those that have none."""
+        return [each.wet_file for each in (*self.layers, *self.actors)]
 
-def record_of(scene: Scene, files: list[str], *, in_drawing_order: bool = False) -> SceneRecord:
-    """Plain values of a scene whose layers, then actors, are kept in these files."""
-    names = iter(files)
+    @property
+    def every_file(self) -> list[str]:
+        """Files of all layers, then of all actors, then those of their wet colours."""
+        return [*self.files, *(file for file in self.wet_files if file is not None)]
+
+
+def record_of(
+    scene: Scene, files: list[str], wet_files: Sequence[str | None] | None = None, *, in_drawing_order: bool = False
+) -> SceneRecord:
+    """Plain values of a scene whose layers, then actors, are kept in these files, and their wet colours in others."""
+    names, wet_names = iter(files), iter(wet_files or [None] * len(files))
     return SceneRecord(
         version=SCENE_VERSION,
         name=scene.name,
         metres_per_unit=scene.metres_per_unit,
         up=scene.up,
         ground_m=scene.ground_m,
-        layers=[_layer_record(layer, next(names)) for layer in scene.layers],
-        actors=[_actor_record(actor, next(names)) for actor in scene.actors],
+        layers=[_layer_record(layer, next(names), next(wet_names)) for layer in scene.layers],
+        actors=[_actor_record(actor, next(names), next(wet_names)) for actor in scene.actors],
         rigs={name: [_camera_record(camera) for camera in cameras] for name, cameras in scene.rigs.items()},
         ego=track_record(scene.ego) if scene.ego is not None else None,
         path=path_record(scene.path) if scene.path is not None else None,
@@ -122,17 +138,21 @@ def record_of(scene: Scene, files: list[str], *, in_drawing_order: bool = False)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers too large to be squared are named, like other wrong ones
-def scene_of(record: SceneRecord, gaussians: list[Gaussians]) -> Scene:
-    """Scene of a record and the Gaussians of its files, in the order of `record.files`.
+def scene_of(record: SceneRecord, gaussians: list[Gaussians], wet: Sequence[WetColors] | None = None) -> Scene:
+    """Scene of a record and what its files hold, in the order of `record.files`: Gaussians, and wet colours if any.
 
     Raises:
         ValueError: Where numbers contradict one another; the message names the field.
     """
-    given = iter(gaussians)
+    given, wet_given = iter(gaussians), iter(wet or [None] * len(gaussians))
     if not np.isfinite(record.up).all() or not 1e-9 < np.linalg.norm(record.up) < 1e9:
         raise ValueError(f"`$.up` must be a direction, not {list(record.up)}")
-    layers = tuple(_layer(each, next(given), f"`$.layers[{i}]") for i, each in enumerate(record.layers))
-    actors = tuple(_actor(each, next(given), f"`$.actors[{i}]") for i, each in enumerate(record.actors))
+    layers = tuple(
+        _layer(each, next(given), next(wet_given), f"`$.layers[{i}]") for i, each in enumerate(record.layers)
+    )
+    actors = tuple(
+        _actor(each, next(given), next(wet_given), f"`$.actors[{i}]") for i, each in enumerate(record.actors)
+    )
     counts = {each.key: len(each.gaussians) for each in (*layers, *actors)}
     return Scene(
         name=record.name,
@@ -163,10 +183,11 @@ def places_not_finite(value: object, place: str = "$") -> Iterator[str]:
             yield from places_not_finite(each, f"{place}[{i}]")
 
 
-def _layer_record(layer: Layer, file: str) -> LayerRecord:
+def _layer_record(layer: Layer, file: str, wet_file: str | None) -> LayerRecord:
     return LayerRecord(
         name=layer.name,
         file=file,
+        wet_file=wet_file,
         kind=layer.kind,
         visible=layer.visible,
         locked=layer.locked,
@@ -177,7 +198,7 @@ def _layer_record(layer: Layer, file: str) -> LayerRecord:
     )
 
 
-def _layer(record: LayerRecord, gaussians: Gaussians, where: str) -> Layer:
+def _layer(record: LayerRecord, gaussians: Gaussians, wet_sh: WetColors, where: str) -> Layer:
     return Layer(
         record.name,
         gaussians,
@@ -188,13 +209,15 @@ def _layer(record: LayerRecord, gaussians: Gaussians, where: str) -> Layer:
         opacity=record.opacity,
         grading=record.grading,
         marks=marks_of(record.marks, len(gaussians), f"{where}.marks"),
+        wet_sh=wet_sh,
     )
 
 
-def _actor_record(actor: Actor, file: str) -> ActorRecord:
+def _actor_record(actor: Actor, file: str, wet_file: str | None) -> ActorRecord:
     return ActorRecord(
         id=actor.id,
         file=file,
+        wet_file=wet_file,
         track=track_record(actor.track),
         class_name=actor.class_name,
         size_lwh=actor.size_lwh,
@@ -206,7 +229,7 @@ def _actor_record(actor: Actor, file: str) -> ActorRecord:
     )
 
 
-def _actor(record: ActorRecord, gaussians: Gaussians, where: str) -> Actor:
+def _actor(record: ActorRecord, gaussians: Gaussians, wet_sh: WetColors, where: str) -> Actor:
     return Actor(
         record.id,
         record.class_name,
@@ -218,6 +241,7 @@ def _actor(record: ActorRecord, gaussians: Gaussians, where: str) -> Actor:
         opacity=record.opacity,
         grading=record.grading,
         marks=marks_of(record.marks, len(gaussians), f"{where}.marks"),
+        wet_sh=wet_sh,
     )
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.members import Actor, Layer
+from gsrain_engine.scene.members import Actor, Layer, rows_of
 from gsrain_engine.scene.scene import Scene
 
 from .members import with_members, with_selections
@@ -32,4 +32,5 @@ def _compacted(member: Layer | Actor, kept: Mask) -> Layer | Actor:
     where, marks = kept.indices, member.marks
     masks = [each.take(where) if each is not None else None for each in (marks.selected, marks.hidden)]
     selected, hidden = (each if each else None for each in masks)
-    return replace(member, gaussians=member.gaussians.take(where), marks=Marks(selected, hidden))
+    gaussians, wet_sh = rows_of(member, where)
+    return replace(member, gaussians=gaussians, wet_sh=wet_sh, marks=Marks(selected, hidden))

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from gsrain_engine.scene.marks import UNMARKED
-from gsrain_engine.scene.members import Layer
+from gsrain_engine.scene.members import Layer, rows_of
 from gsrain_engine.scene.scene import Scene
 
 from .importing import import_scene
@@ -42,7 +42,8 @@ def separate(scene: Scene) -> Scene:
         if not kept:
             continue
         name = unique_name(source.name, names(result, source))
-        piece = replace(named(source, name), gaussians=source.gaussians.take(kept.indices), marks=UNMARKED)
+        gaussians, wet_sh = rows_of(source, kept.indices)
+        piece = replace(named(source, name), gaussians=gaussians, wet_sh=wet_sh, marks=UNMARKED)
         result = with_members(result, behind(result, source.key, (piece,)))
         if isinstance(source, Layer) and source.kind == "background":
             parted.append(piece.key)

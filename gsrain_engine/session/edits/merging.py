@@ -13,6 +13,7 @@ from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Layer, Part
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.wet_colors import soaked_sh
 
 from .members import unlocked, with_members, with_selections
 
@@ -21,7 +22,8 @@ def merge(scene: Scene, keys: Sequence[str]) -> Scene:
     """Join layers into the first of them; what is deleted falls out for good.
 
     All come into the frame of the first. Opacity and grading stay as they are where all agree, else they are put into
-    the Gaussians. Marks and selection sets stay true. Raises `ValueError` for fewer than two, for actors, for locked
+    the Gaussians. Wet colours of one go along with the clear colours of another that has none. Marks and selection sets
+    stay true. Raises `ValueError` for fewer than two, for actors, for locked
     ones, and for a sky with anything else.
     """
     layers = [unlocked(scene, key) for key in dict.fromkeys(keys)]
@@ -37,6 +39,10 @@ def merge(scene: Scene, keys: Sequence[str]) -> Scene:
     pieces = [_brought_to(first, each, bake=not agree) for each in joined]
     every = Gaussians.concatenate(pieces)
     order = drawing_order(every).astype(np.int64)
+    wet_sh = None
+    if any(each.wet_sh is not None for each in joined):
+        soaked = [replace(each, gaussians=each.gaussians.with_sh(soaked_sh(each))) for each in joined]
+        wet_sh = Gaussians.concatenate([_brought_to(first, each, bake=not agree) for each in soaked]).sh[order]
 
     def put_together(masks: Sequence[Mask | None]) -> Mask | None:
         mask = _joined(masks, kept)
@@ -45,6 +51,7 @@ def merge(scene: Scene, keys: Sequence[str]) -> Scene:
     whole = replace(
         first,
         gaussians=every.take(order),
+        wet_sh=wet_sh,
         marks=Marks(
             put_together([each.marks.selected for each in joined]), put_together([each.marks.hidden for each in joined])
         ),

@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.marks import Marks
@@ -44,7 +44,8 @@ def move_selected(scene: Scene, delta: Similarity, time_s: float = 0.0) -> Scene
         if to_scene is None or not member.marks.selected:
             return member
         own = np.linalg.inv(to_scene) @ way @ to_scene
-        return replace(member, gaussians=_partly_moved(member.gaussians, member.marks.selected, own))
+        wet_sh = member.wet_sh if member.wet_sh is None else _partly_turned(member.wet_sh, member.marks.selected, own)
+        return replace(member, gaussians=_partly_moved(member.gaussians, member.marks.selected, own), wet_sh=wet_sh)
 
     return edited(scene, placed)
 
@@ -102,20 +103,37 @@ def _in_scene(scene: Scene, delta: Similarity) -> Similarity:
 def _partly_moved(gaussians: Gaussians, selected: Mask, similarity: Similarity) -> Gaussians:
     where = selected.indices
     scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
-    means, scales, quaternions, sh = gaussians.means.copy(), gaussians.scales, gaussians.quaternions, gaussians.sh
+    means, scales, quaternions = gaussians.means.copy(), gaussians.scales, gaussians.quaternions
     means[where] = means[where].astype(np.float64) @ similarity[:3, :3].T + similarity[:3, 3]
     if abs(scale - 1) > 1e-9:
         scales = scales.copy()
         scales[where] *= np.float32(scale)
-    if not np.allclose(similarity[:3, :3], scale * np.eye(3), rtol=0, atol=1e-9 * scale):
-        rotation = similarity[:3, :3] / scale
+    rotation = _turn_of(similarity)
+    if rotation is not None:
         turn = np.broadcast_to(quaternions_from_matrices(rotation), (len(where), 4))
         quaternions = quaternions.copy()
         quaternions[where] = quaternion_product(turn, quaternions[where].astype(np.float64))
-        if gaussians.sh_degree:
-            sh = sh.copy()
-            sh[where] = rotate_sh(sh[where], rotation)
+    sh = _partly_turned(gaussians.sh, selected, similarity)
     return Gaussians(means, scales, quaternions, gaussians.opacities, sh)
+
+
+def _partly_turned(
+    sh: Float32[np.ndarray, "n k 3"], selected: Mask, similarity: Similarity
+) -> Float32[np.ndarray, "n k 3"]:
+    """Harmonics with those of some Gaussians turned; the very same where nothing turns."""
+    rotation = _turn_of(similarity)
+    if rotation is None or sh.shape[1] == 1:
+        return sh
+    where, turned = selected.indices, sh.copy()
+    turned[where] = rotate_sh(sh[where], rotation)
+    return turned
+
+
+def _turn_of(similarity: Similarity) -> Float64[np.ndarray, "3 3"] | None:
+    """The rotation of a similarity; None where it is none to speak of."""
+    scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+    is_straight = np.allclose(similarity[:3, :3], scale * np.eye(3), rtol=0, atol=1e-9 * scale)
+    return None if is_straight else similarity[:3, :3] / scale
 
 
 def _without_selection(member: Layer | Actor) -> Layer | Actor:
@@ -138,6 +156,7 @@ def _dragged(member: Layer | Actor, to_scene: Similarity) -> Layer:
         opacity=member.opacity,
         grading=member.grading,
         marks=Marks(marks.selected, others if marks.hidden is None else union(marks.hidden, others), marks.deleted),
+        wet_sh=member.wet_sh,
     )
 
 

@@ -19,6 +19,7 @@ from gsrain_engine.scene.formats.known_files import KnownFiles
 from gsrain_engine.scene.formats.scene_folder import SCENE_FILE, is_in_drawing_order
 from gsrain_engine.scene.marks import UNMARKED, Marks
 from gsrain_engine.scene.mask import Mask
+from gsrain_engine.scene.members import rows_of
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.street import build
 from gsrain_engine.scene.street.parameters import StreetParameters
@@ -80,16 +81,17 @@ def is_built_in(name: str | None) -> bool:
 
 
 def _put_into_order(scene: Scene) -> Scene:
-    """Bring arrays that were just made into their drawing order; what is marked stays marked."""
+    """Bring arrays that were just made into their drawing order; what is marked stays marked, wet colours go along."""
     kept = {key for masks in scene.selections.values() for key in masks}
     orders: dict[str, Int64[np.ndarray, " n"]] = {}
     for member in scene.members:
-        if member.marks is UNMARKED and member.key not in kept:
+        if member.marks is UNMARKED and member.key not in kept and member.wet_sh is None:
             put_into_drawing_order(member.gaussians)
         else:
             order = orders[member.key] = drawing_order.drawing_order(member.gaussians).astype(np.int64)
             marks = Marks(*(mask and mask.take(order) for mask in _masks(member.marks)))
-            scene = scene.with_member(member.key, gaussians=member.gaussians.take(order), marks=marks)
+            gaussians, wet_sh = rows_of(member, order)
+            scene = scene.with_member(member.key, gaussians=gaussians, wet_sh=wet_sh, marks=marks)
     selections = {
         name: {key: mask.take(orders[key]) for key, mask in masks.items()} for name, masks in scene.selections.items()
     }

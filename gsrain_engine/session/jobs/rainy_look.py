@@ -11,7 +11,6 @@ from gsrain_engine.reconstruct.preview_cameras import preview_cameras
 from gsrain_engine.reconstruct.rainy_preview import rainy_preview
 from gsrain_engine.reconstruct.recolored_file import read_recolored
 from gsrain_engine.scene.formats import read_scene
-from gsrain_engine.scene.marks import UNMARKED
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
@@ -19,14 +18,14 @@ VIEWS = 8
 
 
 def make_rainy(scene_folder: Path, output: Path) -> Iterator[Progress]:
-    """Work of the job "Make it rainy (preview)": solve a saved scene's colours for views with a wet look."""
+    """Work of the job "Make it rainy (preview)": solve for the colours in which a saved scene's views look wet."""
     yield Progress(0.0, "Reading the scene")
     scene = read_scene(scene_folder)
     yield from rainy_preview(scene, preview_cameras(scene, VIEWS), output)
 
 
 def rainy_scene(scene: Scene) -> Iterator[tuple[Progress, Scene]]:
-    """Give a scene the wet look in this process; the last pair holds the result."""
+    """Give a scene wet colours in this process; the last pair holds the result."""
     with tempfile.TemporaryDirectory(prefix="gsrain-") as folder:
         output = Path(folder) / "colors.npz"
         for progress in rainy_preview(scene, preview_cameras(scene, VIEWS), output):
@@ -35,7 +34,7 @@ def rainy_scene(scene: Scene) -> Iterator[tuple[Progress, Scene]]:
 
 
 def with_colors(scene: Scene, colors: Mapping[str, Float32[np.ndarray, "n k 3"]]) -> Scene:
-    """Return the scene in other colours, by `layers/NAME` and `actors/ID`; what is not named keeps its own.
+    """Return the scene with wet colours, by `layers/NAME` and `actors/ID`; what is not named keeps what it has.
 
     Colours are of all of a member's Gaussians, or of those that are not deleted: files know no others.
     """
@@ -43,18 +42,8 @@ def with_colors(scene: Scene, colors: Mapping[str, Float32[np.ndarray, "n k 3"]]
         member = scene.member(key)
         deleted = member.marks.deleted
         if deleted is not None and len(sh) < len(member.gaussians):
-            whole = np.zeros((len(member.gaussians), *sh.shape[1:]), np.float32)
+            whole = member.gaussians.sh.copy()
             whole[(~deleted).indices] = sh
             sh = whole
-        scene = scene.with_member(key, gaussians=member.gaussians.with_sh(sh))
-    return scene
-
-
-def with_gaussians_of(scene: Scene, other: Scene) -> Scene:
-    """Return the scene with the Gaussians of another version of it; what only one of them has stays as it is."""
-    given = {each.key: each.gaussians for each in other.members}
-    for each in scene.members:
-        new = given.get(each.key, each.gaussians)
-        marks = each.marks if len(new) == len(each.gaussians) else UNMARKED
-        scene = scene.with_member(each.key, gaussians=new, marks=marks)
+        scene = scene.with_member(key, wet_sh=sh)
     return scene

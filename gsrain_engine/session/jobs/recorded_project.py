@@ -1,7 +1,5 @@
 """Records a saved scene with its own rain, weather and path, as `gsrain render PROJECT` does."""
 
-import contextlib
-import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -44,10 +42,8 @@ def record_project(folder: Path, recording: Recording) -> Iterator[Progress]:
 
 
 def record_in_worker(folder: Path, recording: Recording) -> Iterator[Progress]:
-    """Record as work of another process: told to end, it ends its videos first; it gives way to the window."""
+    """Record as work of another process: told to end, it ends its videos first."""
     signal.signal(signal.SIGTERM, _leave)
-    with contextlib.suppress(AttributeError, OSError):  # not every system knows priorities
-        os.nice(5)
     yield from record_project(folder, recording)
 
 

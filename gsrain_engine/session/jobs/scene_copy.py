@@ -19,12 +19,18 @@ def copy_scene(scene: Scene, known: KnownFiles) -> Path:
     """Write a scene for another process; returns the temporary folder. Files that are known are linked, not written."""
     folder = Path(tempfile.mkdtemp(prefix="gsrain-"))
     try:
-        write_scene_folder(scene, folder / SCENE, known, linking=True, in_drawing_order=True)
-        known.forget(folder / SCENE)  # it will be gone soon
+        write_copy(scene, folder, known)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
     return folder
+
+
+def write_copy(scene: Scene, folder: Path, known: KnownFiles) -> Path:
+    """Write a scene into a temporary folder; returns the scene folder in it."""
+    write_scene_folder(scene, folder / SCENE, known, linking=True, in_drawing_order=True)
+    known.forget(folder / SCENE)  # it will be gone soon
+    return folder / SCENE
 
 
 def remove_copy(worker: Job | None, saving: "Future[Path] | None", folder: Path | None) -> None:

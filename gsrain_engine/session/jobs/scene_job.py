@@ -40,6 +40,11 @@ class SceneTask(Protocol):
     preparing: str
     """Said while `prepare` runs."""
 
+    @property
+    def report(self) -> Path | None:
+        """HTML page that the worker writes, if any."""
+        ...
+
     def prepare(self, folder: Path) -> Assignment:
         """Write what the worker needs."""
         ...
@@ -67,6 +72,8 @@ class SceneJob:
         self.progress = Progress(0.0, task.preparing)
         self.error: str | None = None
         self.details: str | None = None
+        self.report: Path | None = None
+        """The report, once it is there."""
         self._task, self._files = task, files
         self._folder = Path(tempfile.mkdtemp(prefix="gsrain-"))
         self._preparing: Future[Assignment] | None = files.submit(task.prepare, self._folder)
@@ -91,7 +98,8 @@ class SceneJob:
                 self._follow(self._worker, session)
             if self._loading is not None and self._loading.done():
                 self._stage(self._loading.result(), session, is_finished=True)
-                logger.info("%s: done", self.title)
+                self.report = self._task.report
+                logger.info("%s: done%s", self.title, "" if self.report is None else f"; report: {self.report}")
                 self._end("finished")
         except Exception as error:  # whatever a disk or a worker can do: the window lives on
             self.error = str(error)
@@ -136,6 +144,8 @@ class SceneJob:
 
     def _end(self, state: JobState) -> None:
         self.state = state
+        if state == "finished":
+            self.progress = Progress(1.0, "Done", self.progress.preview)
         if self._worker is not None:
             self._worker.cancel()
         if self._preparing is not None:

@@ -166,13 +166,14 @@ class LiveView:
         at_once = session.screenshot is not None
         sky = self._sky.look(self._renderer, session.scene, shot.camera, resting=resting, at_once=at_once)
         if sky is not None:
-            session.sky = sky.color
+            session.sky_seen = sky
         session.sky_is_stale = not self._sky.is_exact
 
     def _pick_sky(self, shot: Shot, pick: SkyPick) -> None:
         session = self.session
         session.sky_pick = None
-        color = color_there(self._renderer, session.scene, shot, pick, session.view.background)
+        background, wetness = session.view.background, session.rainfall.wetness_at(shot.time_s)
+        color = color_there(self._renderer, session.scene, shot, pick, background, wetness)
         session.change_rain("Pick drop colour", drop_color=color)
 
     def _show(self, side: Side, shown: "_SidePicture", shot: Shot, detail: Detail) -> bool:
@@ -251,7 +252,7 @@ class LiveView:
                 session.swap_in()
                 if is_opened:
                     self._sky.forget()
-                    self._opengl.arrays.release_all_but(each.gaussians for each in session.scene.members)
+                    self._opengl.arrays.release_all_but((each.gaussians, each.wet_sh) for each in session.scene.members)
             elif time.perf_counter() >= self._upload_until:
                 break
 
@@ -306,6 +307,7 @@ class _Seen(NamedTuple):
     camera: Hashable
     velocity: bytes
     view: Hashable
+    wetness: float
 
 
 def _fingerprint(session: Session, side: Side, shot: Shot) -> _Seen:
@@ -320,4 +322,5 @@ def _fingerprint(session: Session, side: Side, shot: Shot) -> _Seen:
         (camera.world_to_camera.tobytes(), camera.width, camera.height, camera.fx),
         velocity,
         (view.background, view.gain_ev, view.look, view.harmonics, view.show_selection),
+        side.rainfall.wetness_at(shot.time_s) if side.scene.has_wet_colors else 0.0,
     )

@@ -17,7 +17,8 @@ class SceneUpload:
 
     def missing(self, scene: Scene) -> int:
         """How many Gaussians a frame would have to upload to draw a scene."""
-        return sum(self._renderer.arrays.missing(each.gaussians) for each in scene.members if each.visible)
+        arrays = self._renderer.arrays
+        return sum(arrays.missing(each.gaussians, each.wet_sh) for each in scene.members if each.visible)
 
     def go_on(self, scene: Scene, until_s: float) -> bool:
         """Upload what is missing of a scene until a moment of `time.perf_counter`; returns whether all is there."""
@@ -37,4 +38,4 @@ class SceneUpload:
     def _missing_slices(self, scene: Scene) -> Iterator[float]:
         for member in scene.members:
             if member.visible:
-                yield from self._renderer.upload(member.gaussians)
+                yield from self._renderer.upload(member.gaussians, wet_sh=member.wet_sh)

@@ -27,9 +27,11 @@ class SkyPick:
         return cls(left, top, right, bottom)
 
 
-def color_there(renderer: Renderer, scene: Scene, shot: Shot, pick: SkyPick, background: Color) -> Color:
+def color_there(
+    renderer: Renderer, scene: Scene, shot: Shot, pick: SkyPick, background: Color, wetness: float = 0.0
+) -> Color:
     """Draw a scene without rain and average a rectangle of it in linear light; at least one pixel."""
-    renderer.draw(scene.parts(shot.time_s), shot.camera)
+    renderer.draw(scene.parts(shot.time_s, wetness=wetness), shot.camera)
     rgba = renderer.read().rgba
     height, width = rgba.shape[:2]
     x0, x1 = _pixels(pick.left, pick.right, width)

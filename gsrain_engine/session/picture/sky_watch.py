@@ -7,6 +7,7 @@ from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sky_color import Sky, looking_at_sky
 from gsrain_engine.render.thinning import Thinning
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.identity import Identity
 from gsrain_engine.scene.scene import Scene
 
 logger = logging.getLogger("gsrain")
@@ -76,7 +77,7 @@ class SkyWatch:
 def _what_shows_in(scene: Scene) -> Hashable:
     """Everything of a scene that its sky depends on; selecting changes none of it."""
     return tuple(
-        (part.gaussians, part.to_world.tobytes(), part.left_out, part.opacity, colors, each.key)
+        (part.gaussians, Identity(part.wet_sh), part.to_world.tobytes(), part.left_out, part.opacity, colors, each.key)
         for each in scene.members
         if each.visible and (part := scene.part(each)) is not None
         for colors in [None if part.colors is None else part.colors.tobytes()]

@@ -9,6 +9,8 @@ from gsrain_engine.scene.camera_path import CameraPath, orbit_path
 from gsrain_engine.scene.drive_path import drive_path
 from gsrain_engine.scene.scene import RigCamera, Scene
 
+from .navigation import Navigation
+
 _FOV_DEG = 50.0
 _LOOKING_DOWN_DEG = 8.0
 ORBIT_S = 8.0
@@ -64,3 +66,14 @@ def scene_bounds(scene: Scene) -> tuple[Float64[np.ndarray, "3"], Float64[np.nda
 
 def _corners(low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "8 3"]:
     return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+
+
+def home_navigation(scene: Scene, width: int, height: int, speed_m_s: float) -> Navigation:
+    """Stand at the home camera; turning goes around what is in front, 1 to 20 m away."""
+    camera = home_camera(scene, width, height)
+    navigation = Navigation(speed_m_s=speed_m_s)
+    navigation.look_like(camera)
+    low, high = scene_bounds(scene)
+    in_front = float(camera.world_to_camera[2, :3] @ ((low + high) / 2) + camera.world_to_camera[2, 3])
+    navigation.distance_m = float(np.clip(in_front, 1.0, 20.0))
+    return navigation

@@ -13,8 +13,8 @@ from gsrain_engine.scene.camera_path import CameraPath
 
 from ..session import Session
 from ..timeline.edits import place_key
+from .line_projection import NEAR_M, projected_lines
 
-_NEAR_M = 0.05
 _SAMPLES_A_SECOND, _MOST_SAMPLES = 12, 700
 _FRUSTUM_PX = 26.0
 _MOST_KEYS = 200
@@ -65,7 +65,7 @@ def drag_in_view(session: Session, shot: Shot, moved_px: tuple[float, float], *,
         return
     camera, start = shot.camera, _place(session, drag.path.positions[drag.key])
     depth = float(camera.world_to_camera[2, :3] @ start + camera.world_to_camera[2, 3])
-    metres_a_pixel = max(depth, _NEAR_M) / camera.fy
+    metres_a_pixel = max(depth, NEAR_M) / camera.fy
     right, down = camera.world_to_camera[0, :3], camera.world_to_camera[1, :3]
     if upright:
         steepness = max(-float(down[2]), 0.2)  # seen from straight above the height has no length in the picture
@@ -73,20 +73,6 @@ def drag_in_view(session: Session, shot: Shot, moved_px: tuple[float, float], *,
     else:
         change = metres_a_pixel * (moved_px[0] * right + moved_px[1] * down)
     place_key(session, drag.key, "Move camera key", position_m=start + change, gesture="drag a key")
-
-
-def projected_lines(lines: Float64[np.ndarray, "n 2 3"], camera: Camera) -> Float64[np.ndarray, "m 2 2"]:
-    """Lines of the world (metres) in pixels, cut off at the near plane."""
-    seen = lines @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    depth = seen[..., 2]
-    seen = seen[(depth > _NEAR_M).any(axis=1)]
-    start, end = seen[:, 0], seen[:, 1]
-    behind = seen[..., 2] < _NEAR_M
-    rise = np.where(behind.any(axis=1), end[:, 2] - start[:, 2], 1.0)
-    crossing = start + ((_NEAR_M - start[:, 2]) / rise)[:, None] * (end - start)
-    seen = np.where(behind[..., None], crossing[:, None], seen)
-    focal, center = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-    return focal * seen[..., :2] / seen[..., 2:] + center
 
 
 @lru_cache(maxsize=4)
@@ -102,7 +88,7 @@ def _sampled(path: CameraPath) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.n
 
 def _key_mark(path: CameraPath, key: int, camera: Camera) -> KeyMark | None:
     x, y, z = camera.world_to_camera[:3, :3] @ path.positions[key] + camera.world_to_camera[:3, 3]
-    if z < _NEAR_M:
+    if z < NEAR_M:
         return None
     there = path.camera(float(path.times_s[key]), 3, 2)
     return KeyMark(key, (camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy), _frustum(there, camera))
@@ -112,7 +98,7 @@ def _frustum(shown: Camera, camera: Camera) -> Float64[np.ndarray, "k 2 2"]:
     """A small pyramid that opens where a camera looks, with a flag at the top; equally large at every distance."""
     pose = shown.camera_to_world
     depth = float(camera.world_to_camera[2, :3] @ pose[:3, 3] + camera.world_to_camera[2, 3])
-    if depth < _NEAR_M:
+    if depth < NEAR_M:
         return np.zeros((0, 2, 2))
     size = _FRUSTUM_PX * depth / camera.fy
     w, h = 0.75 * size, 0.5 * size
@@ -128,7 +114,7 @@ def _frustum(shown: Camera, camera: Camera) -> Float64[np.ndarray, "k 2 2"]:
 
 def _projected_points(points: Float64[np.ndarray, "n 3"], camera: Camera) -> Float64[np.ndarray, "m 2"]:
     seen = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    seen = seen[seen[:, 2] > _NEAR_M]
+    seen = seen[seen[:, 2] > NEAR_M]
     return np.array([camera.fx, camera.fy]) * seen[:, :2] / seen[:, 2:] + np.array([camera.cx, camera.cy])
 
 

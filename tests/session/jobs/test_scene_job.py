@@ -33,7 +33,7 @@ def dying(folder, steps):
 
 
 class Growing:
-    title, preparing = "Grow", "Getting ready"
+    title, preparing, report = "Grow", "Getting ready", None
 
     def __init__(self, work=growing, is_whole=True):
         self.work, self.is_whole, self.folder, self.newest = work, is_whole, None, 0

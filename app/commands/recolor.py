@@ -1,0 +1,143 @@
+"""`gsrain recolor SCENE --images DIR -o SCENE`: a scene takes on the look of pictures."""
+
+from collections.abc import Generator
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from cyclopts import Parameter
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from gsrain_engine.datasets.capture import Capture
+from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.evaluate.run_report import write_report
+from gsrain_engine.reconstruct.recolor_settings import RecolorSettings
+from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.formats.scene_files import names_scene_folder
+from gsrain_engine.scene.progress import Progress as Step
+from gsrain_engine.session.files.open_scene import open_scene
+
+from .arguments import JsonFile, write_numbers
+
+_COLUMNS = 110
+_REFINE_STEPS = 300
+
+
+def recolor(
+    scene: Annotated[str, Parameter(help="Scene file or folder; street is the built-in street.")],
+    /,
+    *,
+    images: Annotated[Path, Parameter(help="Capture with cameras; or, with --capture, a folder of its pictures anew.")],
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Scene folder to write.")],
+    capture: Annotated[
+        Path | None, Parameter(help="Where the cameras come from; pictures are matched by name: SENSOR/NAME or NAME.")
+    ] = None,
+    replace: Annotated[
+        bool, Parameter(help="Put the new colours in place of the clear ones, not beside them as wet ones.")
+    ] = False,
+    iterations: Annotated[int, Parameter(help="Steps of conjugate gradients.")] = RecolorSettings().iterations,
+    sh_degree: Annotated[int, Parameter(help="Highest degree of harmonics to solve for, 0..3.")] = 3,
+    held_out: Annotated[int, Parameter(help="Every so-many-th view only measures the result; 0: none.")] = 8,
+    width: Annotated[int, Parameter(help="Wider pictures are made smaller, to so many pixels.")] = 480,
+    polish: Annotated[int, Parameter(help="Steps for absolute differences and structure afterwards; needs torch.")] = 0,
+    refine: Annotated[
+        bool, Parameter(help=f"Let all parameters move afterwards, in {_REFINE_STEPS} steps; needs torch.")
+    ] = False,
+    exposure: Annotated[bool, Parameter(help="Whether each picture has an exposure of its own.")] = True,
+    robust: Annotated[bool, Parameter(help="Whether pictures that disagree with the others count less.")] = True,
+    memory: Annotated[float, Parameter(help="Room for stored weights in MB; views beyond it take longer.")] = 4096.0,
+    report: Annotated[Path | None, Parameter(help="HTML report of the run.")] = None,
+    json: JsonFile = None,
+) -> None:
+    """Solve a scene's colours for pictures; its geometry stays. The clear colours stay too, unless replaced."""
+    options = _options(
+        {"width_px": width, "held_out": held_out, "polish": polish, "refine": _REFINE_STEPS * refine},
+        {
+            "iterations": iterations, "sh_degree": sh_degree, "exposure": exposure, "robust": robust,
+            "memory_mb": memory,
+        },
+        replace_clear=replace,
+    )  # fmt: skip
+    _check_output(output)
+    pictures = _pictures(images, capture)
+    # Kernels and torch take a second or two to load: only now, that there is something to do.
+    from gsrain_engine.reconstruct.recolor_run import recolor_to_capture
+
+    try:
+        run = _followed(recolor_to_capture(open_scene(scene), pictures, options))
+    except ModuleNotFoundError as error:
+        if error.name != "torch":
+            raise
+        raise ValueError("--polish and --refine need torch: pip install 'gsrain[jobs]'") from None
+    write_scene(run.scene, output)
+    _print(run, pictures)
+    print(f"{output}: {run.scene.gaussian_count:,} Gaussians, {'new' if replace else 'clear and wet'} colours")
+    if report is not None:
+        report.parent.mkdir(parents=True, exist_ok=True)
+        write_report(report, run.report)
+        print(report)
+    write_numbers(json, run.numbers)
+
+
+def _options(options: dict[str, Any], colors: dict[str, Any], *, replace_clear: bool) -> Any:
+    from gsrain_engine.reconstruct.recolor_run import RecolorOptions
+
+    try:
+        return msgspec.convert(options | {"replace_clear": replace_clear, "colors": colors}, RecolorOptions)
+    except msgspec.ValidationError as error:
+        field = str(error).rpartition("$.")[2].strip("`").removeprefix("colors.")
+        option = {"width_px": "width", "memory_mb": "memory"}.get(field, field).replace("_", "-")
+        raise ValueError(f"--{option}: {error}") from None
+
+
+def _check_output(output: Path) -> None:
+    """Refuse at once what could not be written after the work."""
+    if not names_scene_folder(output):
+        raise ValueError(f"{output}: expected a scene folder: single files hold one set of colours only")
+    if output.is_file() or (output.is_dir() and any(output.iterdir()) and not (output / "scene.json").is_file()):
+        raise ValueError(f"{output}: expected a new folder, or a scene folder to replace")
+
+
+def _pictures(images: Path, capture: Path | None) -> Capture:
+    if capture is None:
+        return open_capture(images)
+    from gsrain_engine.reconstruct.training_images import with_images
+
+    return with_images(open_capture(capture), images)
+
+
+def _followed(work: Generator[Step, None, Any]) -> Any:
+    """Show progress until the work is done, and return what came out."""
+    columns = [TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("ETA")]
+    console = Console(stderr=True)
+    with Progress(
+        *columns, TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        shown = bar.add_task("Reading", total=1.0)
+        while True:
+            try:
+                step = next(work)
+            except StopIteration as end:
+                return end.value
+            bar.update(shown, completed=step.fraction, description=step.message)
+
+
+def _print(run: Any, pictures: Capture) -> None:
+    console = Console(width=_COLUMNS, highlight=False)
+    for problem in pictures.problems:
+        console.print(f"  {problem}", markup=False)
+    table = Table("view", "clear dB", "mapped dB", "recoloured dB", "trust", box=None)
+    for view in run.recolored.views:
+        figures = [f"{each:.2f}" for each in (view.psnr_clear_db, view.psnr_mapped_db, view.psnr_db)]
+        table.add_row(view.name, *figures, "held out" if view.is_held_out else f"{view.trust:.2f}")
+    console.print(table)
+    numbers = run.numbers
+    if numbers["psnr_held_out_db"] is None:
+        console.print("No view was held out: how well it shows new views is not known.")
+        return
+    console.print(
+        f"Held-out views: {numbers['psnr_held_out_db']:.2f} dB ({numbers['psnr_before_db']:.2f} dB clear, "
+        f"{numbers['psnr_mapped_db']:.2f} dB after the colour map), in {numbers['seconds']:.1f} s"
+    )

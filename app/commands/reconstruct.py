@@ -1,0 +1,146 @@
+"""`gsrain reconstruct CAPTURE -o SCENE`: images, with lidar or COLMAP points, become Gaussians."""
+
+from collections.abc import Generator
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from cyclopts import Parameter
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from gsrain_engine.reconstruct.training_settings import (
+    TrainingSettings,
+    help_of,
+    load_settings,
+    settings_names,
+)
+from gsrain_engine.scene.progress import Progress as Step
+
+from .arguments import JsonFile, write_numbers
+
+_COLUMNS = 110
+
+
+def reconstruct(
+    capture: Annotated[Path, Parameter(help="COLMAP, nerfstudio, DGP, nuScenes, KITTI, Waymo, or a capture folder.")],
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Scene folder to write.")],
+    images: Annotated[Path | None, Parameter(help="Folder with pictures to take instead of the capture's own.")] = None,
+    masks: Annotated[
+        Path | None,
+        Parameter(help="Folder with a picture for each camera, named like it: white is learned from, black isn't."),
+    ] = None,
+    config: Annotated[
+        str | None, Parameter(help=f"Settings: {', '.join(settings_names())}, or a YAML file; options go on top.")
+    ] = None,
+    steps: Annotated[int | None, Parameter(help=help_of("steps"))] = None,
+    width: Annotated[int | None, Parameter(help=help_of("width_px"))] = None,
+    gaussians: Annotated[int | None, Parameter(help=help_of("gaussians"))] = None,
+    density: Annotated[Literal["adaptive", "mcmc"] | None, Parameter(help=help_of("density"))] = None,
+    sh_degree: Annotated[int | None, Parameter(help=help_of("sh_degree"))] = None,
+    held_out: Annotated[
+        str | None, Parameter(help="Keep every Nth view for measuring (0: none), or these names, with commas between.")
+    ] = None,
+    seed: Annotated[int | None, Parameter(help=help_of("seed"))] = None,
+    device: Annotated[Literal["auto", "cpu", "cuda"] | None, Parameter(help=help_of("device"))] = None,
+    resume: Annotated[bool, Parameter(help="Go on from the checkpoint that a stopped run left beside SCENE.")] = False,
+    report: Annotated[
+        Path | None, Parameter(help="HTML report of the run; default: beside SCENE, as SCENE.report.html.")
+    ] = None,
+    lpips: Annotated[Path | None, Parameter(help="Weights of LPIPS; default: those of this machine, if any.")] = None,
+    json: JsonFile = None,
+) -> None:
+    """Fit Gaussians to a capture, and measure them on views that were kept apart. Ctrl-C leaves a checkpoint."""
+    settings = _settings(
+        config, steps=steps, width_px=width, gaussians=gaussians, density=density, sh_degree=sh_degree, seed=seed,
+        device=device, **_kept_apart(held_out),
+    )  # fmt: skip
+    _check_output(output)
+    # torch is an extra, and takes two seconds: only now, that there is something to do.
+    try:
+        from gsrain_engine.reconstruct.training import reconstruct as work
+        from gsrain_engine.reconstruct.training_task import ReconstructionTask
+    except ModuleNotFoundError as error:
+        if error.name != "torch":
+            raise
+        raise ValueError("gsrain reconstruct needs torch: pip install 'gsrain[jobs]'") from None
+    page = report or output.with_name(f"{output.name}.report.html")
+    task = ReconstructionTask(
+        capture=capture, output=output, settings=settings, images=images, masks=masks, resume=resume, lpips=lpips,
+        report=page,
+    )  # fmt: skip
+    try:
+        result = _followed(work(task))
+    except KeyboardInterrupt:
+        if task.checkpoint.is_file():
+            print(f"stopped; go on with: gsrain reconstruct {capture} -o {output} --resume (and the same options)")
+        raise
+    _print(result, output)
+    print(f"{output}: {result.gaussians:,} Gaussians in {result.seconds:.0f} s")
+    print(page)
+    write_numbers(json, result.numbers)
+
+
+def _settings(config: str | None, **options: Any) -> TrainingSettings:
+    try:
+        return load_settings(config, **options)
+    except msgspec.ValidationError as error:
+        field = str(error).rpartition("$.")[2].strip("`")
+        option = {"width_px": "width"}.get(field, field).replace("_", "-")
+        raise ValueError(f"--{option}: {error}") from None
+
+
+def _kept_apart(text: str | None) -> dict[str, Any]:
+    """Turn "8" or "a,b" into settings."""
+    if text is None:
+        return {}
+    if text.isdecimal():
+        return {"held_out": int(text), "held_out_views": ()}
+    return {"held_out_views": tuple(name.strip() for name in text.split(",") if name.strip())}
+
+
+def _check_output(output: Path) -> None:
+    """Refuse at once what could not be written after an hour's work."""
+    if output.is_file() or (output.is_dir() and any(output.iterdir()) and not (output / "scene.json").is_file()):
+        raise ValueError(f"{output}: expected a new folder, or a scene folder to replace")
+
+
+def _followed(work: Generator[Step, None, Any]) -> Any:
+    """Show progress until the work is done, and return what came out."""
+    columns = [TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("ETA")]
+    console = Console(stderr=True)
+    with Progress(
+        *columns, TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        shown = bar.add_task("Reading", total=1.0)
+        while True:
+            try:
+                step = next(work)
+            except StopIteration as end:
+                return end.value
+            bar.update(shown, completed=step.fraction, description=step.message)
+
+
+def _print(result: Any, output: Path) -> None:
+    console = Console(width=_COLUMNS, highlight=False)
+    for problem in result.capture.problems:
+        console.print(f"  {problem}", markup=False)
+    table = Table("view", "PSNR dB", "exposed", "SSIM", "LPIPS", box=None)
+    for kind, scores in (("held out", result.held_out), ("learned from", result.learned)):
+        for each in scores:
+            lpips = "-" if each.lpips is None else f"{each.lpips:.3f}"
+            table.add_row(
+                f"{each.name}, {kind}", f"{each.psnr_db:.2f}", f"{each.psnr_exposed_db:.2f}", f"{each.ssim:.3f}", lpips
+            )
+    console.print(table)
+    numbers = result.numbers
+    if numbers["psnr_held_out_db"] is None:
+        console.print("No view was held out: how well it shows new views is not known.")
+        return
+    console.print(
+        f"Held-out views: {numbers['psnr_held_out_db']:.2f} dB ({numbers['psnr_before_db']:.2f} dB before training); "
+        f"{numbers['psnr_held_out_exposed_db']:.2f} dB on their right halves, exposure fitted on the left"
+    )

@@ -1,0 +1,90 @@
+"""BDD-100K: frames of dash cameras in all weathers, without poses; weather and time of day from its label files.
+
+Names are two groups of eight hexadecimal digits. Labels are one list for all frames (bdd100k_labels_images_*.json,
+det_20/det_*.json) or one file a frame (labels/100k/train/NAME.json): either has `name` and `attributes`.
+"""
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from .capture import Capture, CaptureError
+from .image_folder import capture_without_poses
+from .named_problems import some_names
+from .picture_file import pictures_in
+
+_NAME = re.compile(r"[0-9a-f]{8}-[0-9a-f]{8}(-\d{7})?")
+_IMAGE_LAYOUTS = (".", "images", "images/*", "images/*/*", "bdd100k/images/*/*")
+_FOLDERS_UP = 4
+_MOST_LABEL_FILES = 200_000
+
+
+class _Labelled(msgspec.Struct):
+    """What of a frame's labels is used; the boxes are passed by without being built."""
+
+    name: str
+    attributes: dict[str, Any] = {}
+
+
+def recognizes_bdd100k(path: Path) -> bool:
+    """Whether the pictures in a folder, or in the usual folders below it, are named as those of BDD-100K."""
+    return any(_is_frame(file) for folder in _image_folders(path) for file in pictures_in(folder)[:20])
+
+
+def read_bdd100k(path: Path) -> Capture:
+    """Read all frames at or below a folder, each standing by itself; their attributes where label files lie by.
+
+    Broken frames and label files are left out and named. Raises `CaptureError` where no frame is whole.
+    """
+    files = [file for folder in _image_folders(path) for file in pictures_in(folder) if _is_frame(file)]
+    problems: list[str] = []
+    attributes = _attributes(path, {file.stem for file in files}, problems)
+    return capture_without_poses(path, files, attributes, problems)
+
+
+def _is_frame(file: Path) -> bool:
+    return _NAME.fullmatch(file.stem) is not None
+
+
+def _image_folders(path: Path) -> list[Path]:
+    found = [folder for layout in _IMAGE_LAYOUTS for folder in ([path] if layout == "." else sorted(path.glob(layout)))]
+    return [folder for folder in dict.fromkeys(found) if folder.is_dir()]
+
+
+def _attributes(path: Path, wanted: set[str], problems: list[str]) -> dict[str, dict[str, str]]:
+    """Attributes by the frame's name, from label files in the folder or beside its parents."""
+    found: dict[str, dict[str, str]] = {}
+    broken: list[str] = []
+    for file in _label_files(path, wanted):
+        try:
+            for row in _rows(file):
+                name = row.name.rpartition(".")[0] or row.name
+                if name in wanted:
+                    found[name] = {key: str(value) for key, value in row.attributes.items()}
+        except CaptureError as error:
+            broken.append(str(error))
+    if broken:
+        problems.append(f"{len(broken)} label files are left out: {some_names(broken)}.")
+    return found
+
+
+def _label_files(path: Path, wanted: set[str]) -> list[Path]:
+    for base in (path, *path.resolve().parents[:_FOLDERS_UP]):
+        folder = base / "labels"
+        if folder.is_dir():
+            files = sorted(folder.rglob("*.json"))[:_MOST_LABEL_FILES]
+            return [file for file in files if not _NAME.fullmatch(file.stem) or file.stem in wanted]
+        if lists := sorted([*base.glob("bdd100k_labels*.json"), *base.glob("det_*.json")]):
+            return lists
+    return []
+
+
+def _rows(file: Path) -> Iterable[_Labelled]:
+    try:
+        rows = msgspec.json.decode(file.read_bytes(), type=list[_Labelled] | _Labelled)
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise CaptureError(f"{file}: no label file of BDD-100K ({error})") from None
+    return rows if isinstance(rows, list) else [rows]

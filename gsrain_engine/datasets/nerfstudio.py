@@ -1,0 +1,169 @@
+"""nerfstudio's transforms.json, and that of instant-ngp and Blender: poses with OpenGL axes, turned into OpenCV's."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+
+from gsrain_engine.scene.camera import Camera
+
+from .array_file import read_floats
+from .capture import Capture, CaptureError, Lens, View
+from .json_file import read_json_object
+from .named_problems import some_names
+from .picture_file import SUFFIXES, picture_size, read_color, read_mask, read_stored
+from .point_ply import read_point_ply
+from .reading_errors import what_is_wrong
+from .rigid_poses import inverse, rigid_from_numbers
+from .scaled_camera import camera_of_picture, checked_camera
+from .up_direction import up_of_cameras
+from .view_names import sensor_names, view_names
+
+TRANSFORMS = ("transforms.json", "transforms_train.json")
+
+_OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+_MODELS: dict[str, Literal["opencv", "fisheye"]] = {
+    "": "opencv",
+    "SIMPLE_PINHOLE": "opencv",
+    "PINHOLE": "opencv",
+    "PERSPECTIVE": "opencv",
+    "SIMPLE_RADIAL": "opencv",
+    "RADIAL": "opencv",
+    "OPENCV": "opencv",
+    "OPENCV_FISHEYE": "fisheye",
+    "FISHEYE": "fisheye",
+}
+_DEPTH_UNIT_M = 1e-3
+_WRONG = (KeyError, TypeError, ValueError)
+
+
+def recognizes_nerfstudio(path: Path) -> bool:
+    """Whether a folder holds transforms.json, or a path is such a file."""
+    return _file(path) is not None
+
+
+def read_nerfstudio(path: Path) -> Capture:
+    """Read the frames of transforms.json, whose intrinsics may stand in each frame or once for all.
+
+    Depth files hold thousandths of the world's unit, as nerfstudio takes them, unless depth_unit_scale_factor (or
+    integer_depth_scale) says otherwise; with depth the unit is taken for a metre. Masks leave out what is black. Frames
+    that can't be used are named. The world is that of the frames; applied_transform has led to it and isn't undone.
+    """
+    file = _file(path) or path
+    shared = read_json_object(file)
+    frames = shared.get("frames")
+    if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
+        raise CaptureError(f"{file}: frames must be a list of objects, one a picture")
+    once = {key: value for key, value in shared.items() if key != "frames"}
+    merged: list[dict[str, Any]] = sorted(({**once, **frame} for frame in frames), key=_file_path)
+    pictures = [_file_path(frame) for frame in merged]
+    views: list[View] = []
+    problems: list[str] = []
+    for frame, name, sensor in zip(merged, view_names(pictures), sensor_names(pictures), strict=True):
+        try:
+            views.append(_view(file, frame, name, sensor))
+        except CaptureError as error:
+            problems.append(str(error))
+        except _WRONG as error:
+            problems.append(f"{file}, frame {name}: {what_is_wrong(error)}")
+    if not views:
+        raise CaptureError(f"{file}: none of its {len(frames)} frames can be used ({problems[0]})")
+    summed = [f"{len(problems)} of {len(frames)} frames are left out: {some_names(problems)}."] if problems else []
+    points, colors = _points(file, shared, summed)
+    return Capture(
+        file.resolve().parent.name,
+        tuple(views),
+        points_m=points,
+        point_colors=colors,
+        is_metric=any(view.depth_source is not None for view in views),
+        up=up_of_cameras([view.camera for view in views]),
+        problems=tuple(summed),
+    )
+
+
+def _view(file: Path, frame: dict[str, Any], name: str, sensor: str) -> View:
+    picture = _picture(file, str(frame["file_path"]))
+    size = picture_size(picture)
+    pose = inverse(rigid_from_numbers(frame["transform_matrix"]) @ _OPENCV_FROM_OPENGL)
+    camera = checked_camera(_camera(frame, size, pose), f"{file}, frame {name}")
+    mask, depth = frame.get("mask_path"), frame.get("depth_file_path", frame.get("depth_path"))
+    unit = float(frame.get("depth_unit_scale_factor", frame.get("integer_depth_scale", _DEPTH_UNIT_M)))
+    return View(
+        name,
+        camera_of_picture(camera, size, str(picture)),
+        partial(read_color, picture),
+        sensor=sensor,
+        lens=_lens(frame),
+        depth_source=partial(_depth, file.parent / str(depth), unit) if depth else None,
+        mask_source=partial(read_mask, file.parent / str(mask)) if mask else None,
+    )
+
+
+def _file_path(frame: dict[str, Any]) -> str:
+    return str(frame.get("file_path", "unnamed"))
+
+
+def _picture(file: Path, name: str) -> Path:
+    """The picture that a frame names; Blender leaves its suffix out."""
+    named = file.parent / name
+    guesses = (named, *(named.with_name(named.name + suffix) for suffix in SUFFIXES))
+    return next((guess for guess in guesses if guess.is_file()), named)
+
+
+def _camera(frame: dict[str, Any], size: tuple[int, int], pose: Float64[np.ndarray, "4 4"]) -> Camera:
+    width, height = int(frame.get("w", size[0])), int(frame.get("h", size[1]))
+    if "fl_x" in frame or "fl_y" in frame:
+        fx = float(frame.get("fl_x", frame.get("fl_y", 0)))
+        fy = float(frame.get("fl_y", fx))
+    elif "camera_angle_x" in frame:
+        fx = width / 2 / np.tan(float(frame["camera_angle_x"]) / 2)
+        fy = height / 2 / np.tan(float(frame["camera_angle_y"]) / 2) if "camera_angle_y" in frame else fx
+    else:
+        raise KeyError("fl_x")
+    cx, cy = float(frame.get("cx", width / 2)), float(frame.get("cy", height / 2))
+    return Camera(width, height, float(fx), float(fy), cx, cy, pose)
+
+
+def _lens(frame: dict[str, Any]) -> Lens | None:
+    name = str(frame.get("camera_model", ""))
+    if name not in _MODELS:
+        usable = ", ".join(model for model in _MODELS if model)
+        raise ValueError(f"has the camera model {name}, which OpenCV doesn't have; usable are {usable}")
+    model = "fisheye" if frame.get("is_fisheye") else _MODELS[name]
+    k1, k2, k3, k4, p1, p2 = (float(frame.get(key, 0.0)) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
+    if not np.isfinite([k1, k2, k3, k4, p1, p2]).all():
+        raise ValueError("has distortion that is not finite")
+    if model == "fisheye":
+        return Lens("fisheye", (k1, k2, k3, k4))
+    if k4:
+        raise ValueError("has a fourth radial coefficient k4, which OpenCV's perspective lens doesn't have")
+    return Lens("opencv", (k1, k2, p1, p2, k3)) if any((k1, k2, p1, p2, k3)) else None
+
+
+def _depth(file: Path, unit: float) -> Float32[np.ndarray, "h w"]:
+    stored = read_floats(file) if file.suffix == ".npy" else read_stored(file).astype(np.float32)
+    depth = (stored[..., 0] if stored.ndim == 3 else stored) * np.float32(unit)
+    if depth.ndim != 2:
+        raise CaptureError(f"{file}: depth has the shape {stored.shape}, expected rows and columns")
+    return np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
+
+
+def _points(
+    file: Path, shared: dict[str, Any], problems: list[str]
+) -> tuple[Float64[np.ndarray, "p 3"] | None, UInt8[np.ndarray, "p 3"] | None]:
+    if not shared.get("ply_file_path"):
+        return None, None
+    try:
+        points, colors = read_point_ply(file.parent / str(shared["ply_file_path"]))
+    except CaptureError as error:
+        problems.append(f"The points are left out: {error}.")
+        return None, None
+    return (points, colors) if len(points) else (None, None)
+
+
+def _file(path: Path) -> Path | None:
+    if path.is_file():
+        return path if path.suffix == ".json" and path.name.startswith("transforms") else None
+    return next((path / name for name in TRANSFORMS if (path / name).is_file()), None)

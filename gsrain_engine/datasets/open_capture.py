@@ -1,0 +1,86 @@
+"""Opens a capture, whatever data set it comes from: one table of formats, the first that knows the path reads it."""
+
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from .bdd100k import read_bdd100k, recognizes_bdd100k
+from .capture import Capture, CaptureError
+from .capture_folder import read_capture_folder, recognizes_capture_folder
+from .colmap import read_colmap, recognizes_colmap
+from .dgp import read_dgp, recognizes_dgp
+from .image_folder import read_image_folder, recognizes_image_folder
+from .kitti_odometry import read_kitti_odometry, recognizes_kitti_odometry
+from .kitti_raw import read_kitti_raw, recognizes_kitti_raw
+from .nerfstudio import read_nerfstudio, recognizes_nerfstudio
+from .nuscenes import read_nuscenes, recognizes_nuscenes
+from .nuscenes_infos import read_nuscenes_infos, recognizes_nuscenes_infos
+from .rainsense_capture import read_rainsense, recognizes_rainsense
+from .reading_errors import WRONG_VALUES, what_is_wrong
+from .waymo_records import read_waymo_records, recognizes_waymo_records
+from .waymo_tables import read_waymo_tables, recognizes_waymo_tables
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureFormat:
+    """One kind of capture on disk."""
+
+    name: str
+    """As a person calls it: COLMAP, KITTI raw."""
+    recognizes: Callable[[Path], bool]
+    """Whether a path looks like this kind, by the names in it: quick, and without an exception."""
+    read: Callable[[Path], Capture]
+    """Read it; raises `CaptureError`. Pictures are read later, one by one."""
+    names_inside: bool = False
+    """Whether one of several drives in tables is named as if it were a file there: NUSCENES/scene-0061."""
+
+
+FORMATS: tuple[CaptureFormat, ...] = (
+    # The first that recognizes a path reads it: what has a calibration stands before what is only pictures.
+    CaptureFormat("capture folder", recognizes_capture_folder, read_capture_folder),
+    CaptureFormat("DGP", recognizes_dgp, read_dgp),
+    CaptureFormat("nuScenes", recognizes_nuscenes, read_nuscenes, names_inside=True),
+    CaptureFormat("nuScenes (MMDetection3D)", recognizes_nuscenes_infos, read_nuscenes_infos, names_inside=True),
+    CaptureFormat("Waymo Perception v1", recognizes_waymo_records, read_waymo_records),
+    CaptureFormat("Waymo Perception v2", recognizes_waymo_tables, read_waymo_tables, names_inside=True),
+    CaptureFormat("KITTI raw", recognizes_kitti_raw, read_kitti_raw),
+    CaptureFormat("KITTI odometry", recognizes_kitti_odometry, read_kitti_odometry),
+    CaptureFormat("nerfstudio", recognizes_nerfstudio, read_nerfstudio),
+    CaptureFormat("COLMAP", recognizes_colmap, read_colmap),
+    CaptureFormat("RainSense", recognizes_rainsense, read_rainsense),
+    CaptureFormat("BDD-100K", recognizes_bdd100k, read_bdd100k),
+    CaptureFormat("image folder", recognizes_image_folder, read_image_folder),
+)
+
+
+def open_capture(path: Path | str) -> Capture:
+    """Read the capture that a path holds. Raises `CaptureError`, which names the file at fault, where that fails."""
+    path = Path(path)
+    found = capture_format(path)
+    if found is None:
+        raise CaptureError(f"{path}: {_why_not(path)}")
+    try:
+        return found.read(path)
+    except CaptureError:
+        raise
+    except (*WRONG_VALUES, OSError, MemoryError, RecursionError) as error:
+        raise CaptureError(f"{path}: can't be read as {found.name}: {what_is_wrong(error)}") from error
+
+
+def capture_format(path: Path | str) -> CaptureFormat | None:
+    """Which kind of capture a path holds; None where it is none that is known."""
+    path = Path(path)
+    able = FORMATS if path.exists() else tuple(each for each in FORMATS if each.names_inside)
+    try:
+        return next((each for each in able if each.recognizes(path)), None)
+    except OSError:
+        return None  # a folder that may not be looked into
+
+
+def _why_not(path: Path) -> str:
+    if not path.exists():
+        beside = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
+        close = difflib.get_close_matches(path.name, beside, n=1)
+        return "no such file or folder" + (f"; did you mean {close[0]}?" if close else "")
+    return f"not a capture that is known; expected one of {', '.join(each.name for each in FORMATS)}"

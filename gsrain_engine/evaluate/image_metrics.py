@@ -1,0 +1,92 @@
+"""How close a picture is to another: PSNR and SSIM of float images, with masks."""
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+
+WINDOW_PX = 11
+WINDOW_SIGMA_PX = 1.5
+C1, C2 = 0.01**2, 0.03**2
+"""Window and constants of Wang et al. 2004, for values of 0..1."""
+
+HALF_WINDOW_PX = WINDOW_PX // 2
+LEAST_WEIGHT = 1e-8
+"""Where the mask leaves less of a window than this there is nothing to compare."""
+
+Image = Float[np.ndarray, "h w 3"]
+Mask = Bool[np.ndarray, "h w"]
+
+
+def window() -> Float64[np.ndarray, " k"]:
+    """Return the taps of SSIM's Gaussian window along one axis; they add up to 1."""
+    offsets = np.arange(WINDOW_PX) - HALF_WINDOW_PX
+    taps = np.exp(-0.5 * (offsets / WINDOW_SIGMA_PX) ** 2)
+    return taps / taps.sum()
+
+
+def check_pair(first: tuple[int, ...], second: tuple[int, ...], mask: tuple[int, ...] | None) -> None:
+    """Raise ValueError for shapes of images and mask that can't be compared."""
+    if first != second or len(first) != 3:
+        raise ValueError(f"pictures of one shape (height, width, 3) are compared, not {first} with {second}")
+    if mask is not None and mask != first[:2]:
+        raise ValueError(f"the mask is {mask}, the pictures are {first[:2]}")
+
+
+def psnr(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
+    """Peak signal-to-noise ratio in dB of values of 0..1, over the pixels of the mask; infinite for equal pictures.
+
+    Raises ValueError for other shapes and for a mask without a pixel.
+    """
+    check_pair(rendered.shape, truth.shape, None if mask is None else mask.shape)
+    squares = (rendered.astype(np.float64) - truth) ** 2
+    chosen = squares if mask is None else squares[mask]
+    if chosen.size == 0:
+        raise ValueError("the mask leaves no pixel to compare")
+    mean = float(chosen.mean())
+    return float("inf") if mean == 0 else -10 * float(np.log10(mean))
+
+
+def ssim(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
+    """Structural similarity of values of 0..1: the mean of `ssim_map` over its pixels, those of the mask."""
+    similarity = ssim_map(rendered, truth, mask)
+    if mask is None:
+        return float(similarity.mean())
+    inside = _valid(mask)
+    if not inside.any():
+        raise ValueError("the mask leaves no pixel to compare")
+    return float(similarity[inside].mean())
+
+
+def ssim_map(rendered: Image, truth: Image, mask: Mask | None = None) -> Float64[np.ndarray, "hv wv 3"]:
+    """Structural similarity around each pixel (Wang et al. 2004, eq. 13), of each channel by itself.
+
+    Windows that would reach over the edge are left out, as in the paper: the map is 10 px smaller than the picture.
+    Pixels outside the mask have no weight in any window. Raises ValueError for other shapes and for pictures smaller
+    than the window.
+    """
+    check_pair(rendered.shape, truth.shape, None if mask is None else mask.shape)
+    if min(rendered.shape[:2]) < WINDOW_PX:
+        raise ValueError(f"SSIM takes pictures of at least {WINDOW_PX} px a side, not {rendered.shape[:2]}")
+    x, y = rendered.astype(np.float64), truth.astype(np.float64)
+    weights = None if mask is None else mask.astype(np.float64)[..., None]
+
+    def mean(values: Float64[np.ndarray, "h w 3"]) -> Float64[np.ndarray, "hv wv 3"]:
+        if weights is None:
+            return _blurred(values)
+        return _blurred(values * weights) / np.maximum(_blurred(weights), LEAST_WEIGHT)
+
+    mean_x, mean_y = mean(x), mean(y)
+    variance_x, variance_y = mean(x * x) - mean_x**2, mean(y * y) - mean_y**2
+    covariance = mean(x * y) - mean_x * mean_y
+    likeness = (2 * mean_x * mean_y + C1) * (2 * covariance + C2)
+    return likeness / ((mean_x**2 + mean_y**2 + C1) * (variance_x + variance_y + C2))
+
+
+def _blurred(values: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "hv wv c"]:
+    taps = window()
+    whole = cv2.sepFilter2D(values, -1, taps, taps, borderType=cv2.BORDER_CONSTANT)
+    return _valid(whole.reshape(values.shape))  # OpenCV drops the axis of a single channel
+
+
+def _valid(values: np.ndarray) -> np.ndarray:
+    return values[HALF_WINDOW_PX:-HALF_WINDOW_PX, HALF_WINDOW_PX:-HALF_WINDOW_PX]

@@ -1,0 +1,155 @@
+"""What a person can choose about a reconstruction: one value, which is also its YAML file and its help text."""
+
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_type_hints
+
+import msgspec
+from msgspec import Meta
+
+Weight = Annotated[float, Meta(ge=0, le=100)]
+Rate = Annotated[float, Meta(gt=0, le=1)]
+
+
+class LearningRates(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Steps of Adam for each kind of number (3D Gaussian Splatting, Kerbl et al. 2023, section 5 and their code)."""
+
+    means: Annotated[Rate, Meta(title="Means", description="At the first step, times the extent of the cameras.")] = (
+        1.6e-4
+    )
+    last_means: Annotated[
+        Rate, Meta(title="Means at the end", description="At the last step, times the extent; exponential between.")
+    ] = 1.6e-6
+    log_scales: Annotated[Rate, Meta(title="Scales", description="Of the logarithm of the scales.")] = 5e-3
+    quaternions: Annotated[Rate, Meta(title="Rotations", description="Of the unnormalized quaternions.")] = 1e-3
+    opacity_logits: Annotated[Rate, Meta(title="Opacities", description="Of the opacities' logits.")] = 5e-2
+    sh_dc: Annotated[Rate, Meta(title="Colours", description="Of the harmonics of degree 0.")] = 2.5e-3
+    sh_rest: Annotated[Rate, Meta(title="Directional colours", description="Of the harmonics above degree 0.")] = (
+        1.25e-4
+    )
+    exposure: Annotated[Rate, Meta(title="Exposures", description="Of each picture's affine map of colours.")] = 1e-3
+
+
+class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How Gaussians are fitted to pictures. The defaults are for a processor with two cores: some ten minutes."""
+
+    steps: Annotated[
+        int, Meta(ge=1, le=1_000_000, title="Steps", description="How often one view is rendered and learned from.")
+    ] = 1500
+    width_px: Annotated[
+        int,
+        Meta(
+            ge=16,
+            le=16384,
+            title="Width",
+            description="Pictures wider than this are made smaller, lens distortion removed.",
+            extra={"unit": "px"},
+        ),
+    ] = 480
+    gaussians: Annotated[
+        int, Meta(ge=100, le=100_000_000, title="Gaussians", description="Most there may be in the static scene.")
+    ] = 120_000
+    density: Annotated[
+        Literal["adaptive", "mcmc"],
+        Meta(
+            title="Density control",
+            description="adaptive: clone, split and prune (3DGS). mcmc: relocate and explore (3DGS-MCMC).",
+        ),
+    ] = "adaptive"
+    sh_degree: Annotated[
+        int, Meta(ge=0, le=3, title="SH degree", description="Highest degree of the harmonics; low for few views.")
+    ] = 1
+    held_out: Annotated[
+        int, Meta(ge=0, le=10_000, title="Held out", description="Keep every Nth view for measuring; 0: none.")
+    ] = 8
+    held_out_views: Annotated[
+        tuple[str, ...], Meta(title="Held-out views", description="Keep these views for measuring, by name, instead.")
+    ] = ()
+    seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Same seed, same bytes.")] = 0
+    rates: Annotated[LearningRates, Meta(title="Learning rates")] = LearningRates()
+    haste: Annotated[
+        float,
+        Meta(ge=0.1, le=20, title="Haste", description="Multiplies the learning rates of a run that is short."),
+    ] = 3.0
+    d_ssim: Annotated[
+        float, Meta(ge=0, le=1, title="D-SSIM", description="Share of structural dissimilarity in the loss; rest L1.")
+    ] = 0.2
+    depth: Annotated[
+        Weight, Meta(title="Depth", description="Weight of the relative error of depth where it was measured; 0: off.")
+    ] = 0.1
+    cover: Annotated[
+        Weight, Meta(title="Cover", description="Weight of holes before what has a depth, and of veils before the sky.")
+    ] = 0.05
+    exposure: Annotated[
+        Weight, Meta(title="Exposure", description="Pull of each picture's affine map of colours to none; 0: no maps.")
+    ] = 0.5
+    coarse: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=1,
+            title="Coarse",
+            description="Share of the steps with small pictures: first a quarter of the size, then half.",
+        ),
+    ] = 0.4
+    sky: Annotated[bool, Meta(title="Sky", description="Fit a dome of far Gaussians where the sky is.")] = True
+    own_body: Annotated[
+        bool, Meta(title="Own body", description="Look for the vehicle's own body in the pictures, and leave it out.")
+    ] = True
+    actors: Annotated[
+        bool, Meta(title="Actors", description="Fit what moves as objects of their own; else it is left out.")
+    ] = True
+    measured_every: Annotated[
+        int,
+        Meta(ge=0, le=1_000_000, title="Measured every", description="Steps between looks at held-out views."),
+    ] = 300
+    saved_every: Annotated[
+        int, Meta(ge=0, le=1_000_000, title="Saved every", description="Steps between checkpoints; 0: none.")
+    ] = 200
+    device: Annotated[
+        Literal["auto", "cpu", "cuda"], Meta(title="Device", description="auto: CUDA where it and gsplat are there.")
+    ] = "auto"
+
+
+def load_settings(name: str | Path | None = None, **changes: Any) -> TrainingSettings:
+    """Read shipped settings by name, or a YAML file by path, and change some; without a name the defaults.
+
+    Changes that are None are passed over. Raises ValueError with the file or option, the field and what is allowed.
+    """
+    values = {} if name is None else _read(str(name))
+    changed = {key: value for key, value in changes.items() if value is not None}
+    try:
+        msgspec.convert(values, TrainingSettings)
+    except msgspec.ValidationError as error:
+        raise ValueError(f"{name}: {error}") from None
+    return msgspec.convert(values | changed, TrainingSettings)
+
+
+def help_of(name: str) -> str:
+    """Description of a setting with its default, for a command's help."""
+    hint = get_type_hints(TrainingSettings, include_extras=True)[name]
+    return f"{hint.__metadata__[-1].description} Default: {getattr(TrainingSettings(), name)}."
+
+
+def settings_names() -> list[str]:
+    """Names of the shipped settings."""
+    folder = resources.files("sample_configs").joinpath("reconstruct")
+    return sorted(file.name.removesuffix(".yaml") for file in folder.iterdir() if file.name.endswith(".yaml"))
+
+
+def _read(name: str) -> dict[str, Any]:
+    if name in settings_names():
+        data = resources.files("sample_configs").joinpath("reconstruct", f"{name}.yaml").read_bytes()
+    else:
+        path = Path(name)
+        if not path.is_file():
+            known = ", ".join(settings_names())
+            raise ValueError(f"--config {name}: no such file, and none of the shipped ones ({known})")
+        data = path.read_bytes()
+    try:
+        values = msgspec.yaml.decode(data)
+    except msgspec.MsgspecError as error:
+        raise ValueError(f"{name}: {error}") from None
+    if not isinstance(values, dict):
+        raise ValueError(f"{name}: expected a YAML mapping of settings such as `steps: 1500`")
+    return {str(key): value for key, value in values.items()}

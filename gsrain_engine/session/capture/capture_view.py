@@ -1,0 +1,218 @@
+"""An open capture beside the scene: which view is chosen, what of it is shown, and looking from its cameras."""
+
+import logging
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsrain_engine.datasets.capture import Capture, CaptureError, View
+from gsrain_engine.scene.scene import Scene, rotation_to_z_up
+
+from .frustums import RecordedCameras, fitting_fov_deg, frustum_length
+from .shown_points import ShownPoints, shown_points
+from .view_pictures import ViewPictures, Wish
+
+if TYPE_CHECKING:
+    from ..session import Session
+
+logger = logging.getLogger("gsrain")
+
+_ALIKE = float(np.cos(np.radians(20.0)))
+"""A person levels a scene by a few degrees; other data sets have another axis up."""
+
+_SAME_PLACE = 1e-6
+"""Of a pose's numbers: the eye stands where a picture was taken."""
+
+
+class Texture(NamedTuple):
+    """A picture on the GPU."""
+
+    name: int
+    """What OpenGL calls it."""
+    width: int
+    height: int
+
+
+class CaptureView:
+    """One capture at a time. Call everything on the main thread, and `poll` once a frame."""
+
+    def __init__(self) -> None:
+        self.capture: Capture | None = None
+        self.path: Path | None = None
+        """Where it was read."""
+        self.chosen = 0
+        """Index of the view that is looked at."""
+        self.sensor = ""
+        """Only views of this camera are listed and shown; "" is all."""
+        self.show_frustums = True
+        self.show_points = True
+        self.show_picture = True
+        """Whether the recorded picture lies over the render while the eye is where it was taken."""
+        self.opacity = 0.5
+        """Of that picture: 0 is the render alone."""
+        self.frustum_m = 1.0
+        """Length of the cameras' pyramids, in the capture's units."""
+        self.points: ShownPoints | None = None
+        self.pictures: ViewPictures | None = None
+        self.textures: dict[Wish, Texture] = {}
+        """Pictures that are on the GPU."""
+        self.points_texture: Texture | None = None
+        """The points as the viewport sees them now."""
+        self.viewport_px = (960, 640)
+        """Size of the viewport at the last frame."""
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="capture")
+        self._opening: tuple[Path, Future[tuple[Capture, ShownPoints | None]]] | None = None
+        self.in_scene_axes: bool | None = None
+        """Whether the capture lies in the scene's units and axes, where a person has said so."""
+        self._cameras: tuple[Float64[np.ndarray, "4 4"], RecordedCameras] | None = None
+        self._snapped: tuple[int, Float64[np.ndarray, "4 4"]] | None = None
+
+    # Opening and closing
+
+    def open(self, path: Path) -> None:
+        """Read a capture in the background; of several, the last one. Trouble is told in `problem`."""
+        self._opening = path, self._thread.submit(_read, path)
+
+    def close_capture(self) -> None:
+        """Show none any more."""
+        self.capture = self.path = self.points = self.pictures = self._snapped = None
+        self.in_scene_axes = self._cameras = None
+        self.chosen, self.sensor = 0, ""
+
+    @property
+    def busy(self) -> str | None:
+        """What is being read; None when nothing is."""
+        return None if self._opening is None else f"Reading {self._opening[0].name}"
+
+    @property
+    def is_working(self) -> bool:
+        """Whether a frame should look after what is being read."""
+        return self.busy is not None or (self.pictures is not None and self.pictures.is_reading)
+
+    def poll(self, session: "Session") -> None:
+        """Take in what has been read."""
+        if self._opening is not None and self._opening[1].done():
+            (path, reading), self._opening = self._opening, None
+            try:
+                capture, points = reading.result()
+            except (CaptureError, OSError, ValueError, MemoryError) as error:
+                session.problem = str(error)
+                logger.error("%s", error)
+            else:
+                self._enter(path, capture, points)
+        if self.pictures is not None:
+            self.pictures.poll()
+
+    def close(self) -> None:
+        """Wait for what is under way; nothing new begins."""
+        self._thread.shutdown(cancel_futures=True)
+
+    def _enter(self, path: Path, capture: Capture, points: ShownPoints | None) -> None:
+        self.close_capture()
+        self.capture, self.path, self.points = capture, path, points
+        self.pictures = ViewPictures(capture, self._thread)
+        self.frustum_m = frustum_length(capture)
+        logger.info("Opened capture %s: %d views", capture.name, len(capture))
+        for problem in capture.problems:
+            logger.warning("%s: %s", capture.name, problem)
+
+    # Views
+
+    @property
+    def view(self) -> View | None:
+        """The chosen one."""
+        return None if self.capture is None else self.capture[min(self.chosen, len(self.capture) - 1)]
+
+    @property
+    def listed(self) -> list[int]:
+        """Indices of the views of the chosen camera, in their order."""
+        if self.capture is None:
+            return []
+        return [i for i, view in enumerate(self.capture) if self.sensor in ("", view.sensor)]
+
+    @property
+    def has_times(self) -> bool:
+        """Whether the views' times are known."""
+        return self.capture is not None and any(view.time_s for view in self.capture)
+
+    @property
+    def problems(self) -> list[str]:
+        """What is wrong with the capture: told when it was opened, and pictures that could not be read since."""
+        if self.capture is None or self.pictures is None:
+            return []
+        return [*self.capture.problems, *self.pictures.faults.values()]
+
+    def lies_in(self, scene: Scene) -> bool:
+        """Whether the capture has the units and axes of the scene: as a person says, else where both agree on up."""
+        if self.in_scene_axes is not None or self.capture is None:
+            return self.in_scene_axes is not False
+        alike = float(np.dot(_unit(scene.up), _unit(self.capture.up)))
+        return bool(scene.members) and alike > _ALIKE
+
+    def to_world(self, scene: Scene) -> Float64[np.ndarray, "4 4"]:
+        """Similarity from the capture to the world (metres, z up).
+
+        A scene that was made from it has its units and axes, and knows how they lie in the world; beside another scene
+        its own upward direction is turned up.
+        """
+        if self.capture is None or self.lies_in(scene):
+            return scene.scene_to_world
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation_to_z_up(self.capture.up)
+        return matrix
+
+    def cameras(self, scene: Scene) -> RecordedCameras:
+        """Cameras of all views in the world."""
+        matrix = self.to_world(scene)
+        if self._cameras is None or not np.array_equal(self._cameras[0], matrix):
+            self._cameras = matrix, RecordedCameras(view.camera.moved(matrix) for view in self.capture or ())
+        return self._cameras[1]
+
+    def length_m(self, scene: Scene) -> float:
+        """Length of the pyramids in the world."""
+        return self.frustum_m * float(np.cbrt(np.linalg.det(self.to_world(scene)[:3, :3])))
+
+    def step(self, session: "Session", steps: int) -> None:
+        """Look from the view that many further on in the list, and from the first after the last."""
+        listed = self.listed
+        if listed:
+            at = listed.index(self.chosen) if self.chosen in listed else -1 if steps > 0 else 0
+            self.look_from(session, listed[(at + steps) % len(listed)])
+
+    def look_from(self, session: "Session", index: int) -> None:
+        """Choose a view and look from where it was taken, at its moment; a rolled camera is looked from level."""
+        if self.capture is None:
+            return
+        self.chosen = index
+        camera, (width, height) = self.cameras(session.scene)[index], self.viewport_px
+        session.stop_riding()
+        session.following.follow("")
+        session.navigation.stop()
+        session.navigation.look_like(camera)
+        session.navigation.vertical_fov_deg = min(fitting_fov_deg(camera, width / height), 150.0)
+        if session.scene.actors:
+            session.clock.playing = False
+            session.clock.seek(self.capture[index].time_s)
+        self._snapped = index, session.navigation.camera(1, 1).world_to_camera
+
+    def stands_at(self, session: "Session") -> int | None:
+        """Return the view that the eye looks from; None where a person has moved on."""
+        if self._snapped is None or session.view.follow_path:
+            return None
+        index, pose = self._snapped
+        now = session.navigation.camera(1, 1).world_to_camera
+        return index if np.allclose(now, pose, rtol=0, atol=_SAME_PLACE * max(1.0, float(np.abs(pose).max()))) else None
+
+
+def _unit(direction: tuple[float, float, float]) -> Float64[np.ndarray, "3"]:
+    return np.asarray(direction, np.float64) / np.linalg.norm(direction)
+
+
+def _read(path: Path) -> tuple[Capture, ShownPoints | None]:
+    from gsrain_engine.datasets.open_capture import open_capture  # loads every reader
+
+    capture = open_capture(path)
+    return capture, shown_points(capture)

@@ -1,0 +1,75 @@
+"""The job "Recolour": wet colours are solved for so that the scene looks like given pictures."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.evaluate.run_report import write_report
+from gsrain_engine.reconstruct.recolor_run import RecolorOptions, recolor_to_capture
+from gsrain_engine.reconstruct.recolored_file import read_recolored, write_recolored
+from gsrain_engine.reconstruct.training_images import with_images
+from gsrain_engine.scene.formats import read_scene
+from gsrain_engine.scene.formats.known_files import KnownFiles
+from gsrain_engine.scene.progress import Progress
+from gsrain_engine.scene.scene import Scene
+
+from ..staged_scene import StagedScene
+from .rainy_look import with_colors
+from .report_files import new_report
+from .scene_copy import write_copy
+from .scene_job import Assignment
+
+_COLORS = "colors.npz"
+
+
+class Recoloring:
+    """One scene to be recoloured to pictures, a `SceneTask`."""
+
+    preparing = "Saving the scene for the worker"
+
+    def __init__(
+        self,
+        scene: Scene,
+        known: KnownFiles,
+        capture: Path,
+        images: Path | None = None,
+        options: RecolorOptions | None = None,
+    ) -> None:
+        """Cameras come from a capture; so do the pictures, unless a folder has them anew, under the same names."""
+        pictures = images or capture
+        self.title = f"Recolour to {pictures.name}"
+        self.report: Path | None = new_report(f"{scene.name} to {pictures.name}")
+        self._scene, self._known = scene, known
+        self._capture, self._images, self._options = capture, images, options or RecolorOptions()
+
+    def prepare(self, folder: Path) -> Assignment:
+        """Write the scene for the worker."""
+        copy = write_copy(self._scene, folder, self._known)
+        arguments = copy, self._capture, self._images, self._options, folder / _COLORS, self.report
+        return Assignment(recolor_copy, arguments)
+
+    def snapshot(self, folder: Path) -> Scene | None:
+        """Show nothing before the end."""
+        return None
+
+    def load(self, folder: Path) -> Scene:
+        """Read the wet colours."""
+        return with_colors(self._scene, read_recolored(folder / _COLORS))
+
+    def staged(self, scene: Scene) -> StagedScene:
+        """Bring the wet colours, and nothing else."""
+        return StagedScene(self.title, scene, only_wet_colors=True)
+
+
+def recolor_copy(
+    copy: Path, capture: Path, images: Path | None, options: RecolorOptions, output: Path, report: Path | None
+) -> Iterator[Progress]:
+    """Work of the job, for another process: solve for a saved scene's wet colours and write them."""
+    yield Progress(0.0, "Reading the scene")
+    scene, pictures = read_scene(copy), open_capture(capture)
+    if images is not None:
+        pictures = with_images(pictures, images)
+    run = yield from recolor_to_capture(scene, pictures, options)
+    if report is not None:
+        write_report(report, run.report)
+    write_recolored(output, {each.key: each.wet_sh for each in run.scene.members if each.wet_sh is not None})

@@ -1,0 +1,24 @@
+#version 430
+// Measured points of a capture (COLMAP, lidar), a few pixels each.
+// In: positions in the capture's world and sRGB colours; a camera with OpenCV axes (x right, y down, z forward).
+
+uniform mat4 capture_to_camera;
+uniform vec2 focal_px;
+uniform vec2 center_px;
+uniform vec2 image_size;
+uniform float near_m;
+uniform float size_px;
+
+in vec3 position;
+in vec3 color;
+
+out vec3 point_color;
+
+void main() {
+    vec3 seen = (capture_to_camera * vec4(position, 1.0)).xyz;
+    vec2 pixel = focal_px * seen.xy + center_px * seen.z;  // homogeneous, of w = z
+    // Row 0 of the target is the picture's first row. Depth grows from -1 at the near plane to 1 at infinity.
+    gl_Position = vec4(2.0 * pixel / image_size - seen.z, seen.z - 2.0 * near_m, seen.z);
+    gl_PointSize = size_px;
+    point_color = color;
+}

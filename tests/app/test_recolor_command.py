@@ -1,0 +1,108 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.command_line import run
+from gsrain_engine.datasets.capture import View
+from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.scene.formats import read_scene, write_scene
+from tests.reconstruct.changed_street import street_and_pictures
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> Path:
+    """A scene folder, a capture of it in another look, and the same pictures without cameras."""
+    folder = tmp_path_factory.mktemp("recolor")
+    clear, _, targets = street_and_pictures()
+    write_scene(clear, folder / "clear")
+    views = [
+        View(f"v{i}", each.camera, np.rint(each.image * 255).astype(np.uint8), each.time_s)
+        for i, each in enumerate(targets)
+    ]
+    list(write_views(folder / "capture", views))
+    (folder / "images").mkdir()
+    for view in views[:5]:
+        (folder / "images" / f"{view.name}.png").write_bytes((folder / "capture" / f"{view.name}.png").read_bytes())
+    return folder
+
+
+def test_a_scene_takes_on_the_look_of_a_capture(files, tmp_path, capsys):
+    wet, numbers, report = tmp_path / "wet", tmp_path / "numbers.json", tmp_path / "report.html"
+    command = ["recolor", str(files / "clear"), "--images", str(files / "capture"), "-o", str(wet), "--held-out", "5"]
+    assert run([*command, "--json", str(numbers), "--report", str(report)]) == 0
+    told = json.loads(numbers.read_text())
+    assert {"seconds", "gaussians", "psnr_before_db", "psnr_held_out_db", "views"} <= set(told)
+    assert (told["views"], told["views_held_out"]) == (5, 1)
+    assert told["psnr_held_out_db"] > told["psnr_before_db"] + 3
+    clear, scene = read_scene(files / "clear"), read_scene(wet)
+    street = scene.member("layers/street")
+    np.testing.assert_array_equal(street.gaussians.sh, clear.member("layers/street").gaussians.sh)
+    assert street.wet_sh is not None
+    assert np.abs(street.wet_sh - street.gaussians.sh).mean() > 0.05
+    assert "<svg" in report.read_text(encoding="utf-8")
+    assert "Held-out views:" in capsys.readouterr().out
+
+
+def test_pictures_without_cameras_are_matched_by_name_and_can_replace_the_clear_colors(files, tmp_path, capsys):
+    new = tmp_path / "new"
+    command = ["recolor", str(files / "clear"), "--images", str(files / "images"), "--capture", str(files / "capture")]
+    assert run([*command, "-o", str(new), "--replace", "--held-out", "0", "--iterations", "4"]) == 0
+    assert "'v5' for one" in capsys.readouterr().out
+    clear, scene = read_scene(files / "clear"), read_scene(new)
+    assert scene.member("layers/street").wet_sh is None
+    assert np.abs(scene.member("layers/street").gaussians.sh - clear.member("layers/street").gaussians.sh).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"--images": "nowhere"}, "no such file or folder"),
+        ({"--images": "images"}, "not where their cameras stood"),
+        ({"--iterations": "0"}, "--iterations"),
+        ({"--sh-degree": "4"}, "--sh-degree"),
+        ({"--width": "3"}, "--width"),
+        ({"-o": "scene.ply"}, "expected a scene folder"),
+        ({"-o": "capture"}, "expected a new folder"),
+        ({"--held-out": "1"}, "would be held out"),
+    ],
+)
+def test_bad_input_ends_in_one_line(files, capsys, monkeypatch, changes, expected):
+    monkeypatch.chdir(files)
+    options = {"--images": "capture", "-o": "out"} | changes
+    assert run(["recolor", "clear", *(word for pair in options.items() for word in pair)]) == 2
+    message = capsys.readouterr().err
+    assert expected in message
+    assert message.count("\n") == 1
+    assert not (files / "out").exists()
+
+
+def test_colors_can_be_polished_and_everything_refined(files, tmp_path):
+    pytest.importorskip("torch")
+    from gsrain_engine.datasets.open_capture import open_capture
+    from gsrain_engine.reconstruct.recolor_run import RecolorOptions, recolor_to_capture
+
+    scene, capture = read_scene(files / "clear"), open_capture(files / "capture")
+    options = RecolorOptions(held_out=5)
+
+    def result(options):
+        work = recolor_to_capture(scene, capture, options)
+        fractions = []
+        while True:
+            try:
+                fractions.append(next(work).fraction)
+            except StopIteration as end:
+                assert fractions == sorted(fractions)
+                return end.value
+
+    plain = result(options)
+    polished = result(RecolorOptions(held_out=5, polish=30))
+    assert polished.numbers["psnr_db"] != plain.numbers["psnr_db"]
+    assert polished.numbers["psnr_held_out_db"] > plain.numbers["psnr_held_out_db"] - 0.5
+    refined = result(RecolorOptions(held_out=5, refine=6)).scene.member("layers/street")
+    before = scene.member("layers/street")
+    moved = np.abs(refined.gaussians.means - before.gaussians.means).max()
+    assert 0 < moved < 0.05
+    np.testing.assert_array_equal(refined.gaussians.sh, before.gaussians.sh)
+    assert refined.wet_sh is not None

@@ -1,0 +1,112 @@
+"""`gsrain reconstruct`, run as a person would run it: a capture folder in, a scene, a report and numbers out."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("torch")
+
+from app.command_line import run
+from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.scene.formats import read_scene
+from small_capture import small_capture
+
+QUICK = ["--steps", "12", "--gaussians", "1500", "--device", "cpu"]
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("drive")
+    for _ in write_views(folder, small_capture()):
+        pass
+    return folder
+
+
+def test_a_capture_becomes_a_scene(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, numbers = tmp_path / "scene", tmp_path / "numbers.json"
+    asked = ["reconstruct", str(capture), "-o", str(scene), *QUICK, "--held-out", "2", "--json", str(numbers)]
+    assert run(asked) == 0
+    found = json.loads(numbers.read_text())
+    assert found["views"] == 4
+    assert [each["name"] for each in found["held_out"]] == ["1.00m", "3.00m"]
+    assert found["psnr_held_out_db"] > found["psnr_before_db"]
+    assert found["gaussians"] > 0 and 0 < found["seconds"] < 600
+    written = read_scene(scene)
+    assert [layer.name for layer in written.layers] == ["background", "sky"]
+    report = (tmp_path / "scene.report.html").read_text()
+    assert "1.00m" in report and "Reconstruction of" in report
+    printed = capsys.readouterr().out
+    assert f"{found['psnr_held_out_db']:.2f} dB" in printed
+    assert str(scene) in printed
+
+
+def test_nothing_held_out_is_said(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["reconstruct", str(capture), "-o", str(tmp_path / "scene"), *QUICK, "--held-out", "0"]) == 0
+    assert "No view was held out" in capsys.readouterr().out
+
+
+def test_other_pictures_take_the_place_of_the_own_ones(capture: Path, tmp_path: Path) -> None:
+    import numpy as np
+    from PIL import Image
+
+    images = tmp_path / "red"
+    images.mkdir()
+    for view in small_capture():
+        Image.fromarray(np.full((32, 48, 3), (200, 30, 30), np.uint8)).save(images / f"{view.name}.png")
+    asked = ["reconstruct", str(capture), "-o", str(tmp_path / "scene"), *QUICK, "--images", str(images)]
+    assert run(asked) == 0
+    sh = read_scene(tmp_path / "scene").member("layers/background").gaussians.sh[:, 0]
+    assert np.median(sh[:, 0]) > np.median(sh[:, 1]) + 0.5
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--steps", "0"], "--steps: Expected `int` >= 1"),
+        (["--width", "3"], "--width: Expected `int` >= 16"),
+        (["--held-out", "nowhere"], "no view is named 'nowhere'; the first is '0.00m'"),
+        (["--held-out", "1"], "all 4 views would be held out"),
+        (["--config", "nowhere.yaml"], "none of the shipped ones (draft, full, laptop)"),
+        (["--resume"], "there is no checkpoint to resume from"),
+        (["--images", "nowhere"], "--images nowhere: no such folder"),
+        (["--lpips", "nowhere.npz"], "nowhere.npz"),
+    ],
+)
+def test_bad_input_ends_with_one_line(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], said: str
+) -> None:
+    assert run(["reconstruct", str(capture), "-o", str(tmp_path / "scene"), *more]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.strip().count("\n") == 0
+    assert not (tmp_path / "scene").exists()
+
+
+def test_lpips_is_reported_with_weights(capture: Path, tmp_path: Path) -> None:
+    from evaluate.random_lpips import random_weights
+
+    weights, numbers = tmp_path / "alex.npz", tmp_path / "numbers.json"
+    random_weights("alex").write(weights)
+    asked = ["reconstruct", str(capture), "-o", str(tmp_path / "scene"), *QUICK, "--held-out", "4"]
+    assert run([*asked, "--lpips", str(weights), "--json", str(numbers)]) == 0
+    assert json.loads(numbers.read_text())["lpips_held_out"] > 0
+
+
+def test_a_folder_that_is_no_scene_is_not_replaced(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    assert run(["reconstruct", str(capture), "-o", str(tmp_path)]) == 2
+    assert "expected a new folder, or a scene folder to replace" in capsys.readouterr().err
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_a_config_is_read_and_options_go_on_top(capture: Path, tmp_path: Path) -> None:
+    config = tmp_path / "quick.yaml"
+    config.write_text("steps: 5\ngaussians: 1500\nsh_degree: 0\n")
+    numbers = tmp_path / "numbers.json"
+    asked = ["reconstruct", str(capture), "-o", str(tmp_path / "scene"), "--config", str(config), "--steps", "7"]
+    assert run([*asked, "--json", str(numbers)]) == 0
+    assert json.loads(numbers.read_text())["steps"] == 7
+    assert read_scene(tmp_path / "scene").member("layers/background").gaussians.sh_degree == 0

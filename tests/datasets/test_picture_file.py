@@ -1,0 +1,69 @@
+"""Pictures of data sets: their size without reading them, what is cut, and odd kinds of pixels."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from gsrain_engine.datasets.capture import CaptureError
+from gsrain_engine.datasets.picture_file import picture_size, pictures_in, read_color, read_labels, read_mask
+
+NOISE = np.random.default_rng(3).integers(0, 256, (20, 30, 3), np.uint8)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("pictures")
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg", "webp", "bmp", "tif"])
+def test_size_and_colour(folder: Path, suffix: str) -> None:
+    file = folder / f"whole.{suffix}"
+    smooth = np.linspace(0, 255, 30).astype(np.uint8)[None, :, None] + np.zeros((20, 30, 3), np.uint8)
+    Image.fromarray(smooth).save(file, quality=95)
+    assert picture_size(file) == (30, 20)
+    np.testing.assert_allclose(read_color(file).astype(float), smooth, atol=8)
+
+
+@given(suffix=st.sampled_from(["png", "jpg"]), part=st.floats(0, 0.99))
+def test_cut_files_are_found_from_their_ends(folder: Path, suffix: str, part: float) -> None:
+    file = folder / f"cut.{suffix}"
+    Image.fromarray(NOISE).save(file)
+    data = file.read_bytes()
+    file.write_bytes(data[: int(part * (len(data) - 8))])
+    with pytest.raises(CaptureError, match=f"cut.{suffix}: (the picture is cut off|not a readable picture)"):
+        picture_size(file)
+    with pytest.raises(CaptureError, match=f"cut.{suffix}"):
+        read_color(file)
+
+
+def test_a_film_behind_a_picture_is_no_cut(folder: Path) -> None:
+    file = folder / "phone.jpg"
+    Image.fromarray(NOISE).save(file)
+    file.write_bytes(file.read_bytes() + bytes(200_000))
+    assert picture_size(file) == (30, 20)
+
+
+def test_grey_of_16_bits_and_palettes(folder: Path) -> None:
+    file = folder / "deep.png"
+    Image.fromarray(np.array([[0, 257, 65535]], np.uint16)).save(file)
+    np.testing.assert_array_equal(read_color(file)[0, :, 0], [0, 1, 255])
+    with pytest.raises(CaptureError, match="values outside 0..255"):
+        read_labels(file)
+    palette = Image.fromarray(np.array([[0, 3, 1]], np.uint8), mode="P")
+    palette.putpalette([9] * 768)
+    palette.save(folder / "palette.png")
+    np.testing.assert_array_equal(read_labels(folder / "palette.png"), [[0, 3, 1]])
+    np.testing.assert_array_equal(read_mask(folder / "palette.png"), [[False, True, True]])
+
+
+def test_only_pictures_are_listed(folder: Path, tmp_path: Path) -> None:
+    for name in ("b.PNG", "a.jpg", ".hidden.jpg", "c.txt"):
+        (tmp_path / name).touch()
+    assert [file.name for file in pictures_in(tmp_path)] == ["a.jpg", "b.PNG"]
+    assert pictures_in(tmp_path / "nowhere") == []
+    with pytest.raises(CaptureError, match="no such picture"):
+        picture_size(folder / "nowhere.png")

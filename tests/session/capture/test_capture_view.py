@@ -1,0 +1,168 @@
+"""An open capture beside a scene: read in the background, looked from, listed by camera."""
+
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsrain_engine.datasets.capture import Capture, CaptureError, Sweep
+from gsrain_engine.scene.scene import Scene
+from gsrain_engine.session.capture import capture_view
+from gsrain_engine.session.capture.shown_points import MOST_POINTS, shown_points
+from gsrain_engine.session.capture.view_pictures import THUMBNAIL_PX, ViewPictures
+from gsrain_engine.session.session import Session
+from small_scene import small_scene
+
+from .small_capture import COLORS, small_capture, written_capture
+
+
+@pytest.fixture
+def session():
+    session = Session(small_scene())
+    yield session
+    session.close()
+
+
+def _wait(session: Session) -> None:
+    reading = session.captures._opening
+    assert reading is not None
+    reading[1].exception(timeout=60)
+    session.captures.poll(session)
+
+
+def _opened(session: Session, capture: Capture) -> None:
+    session.captures._enter(Path("small"), capture, shown_points(capture))
+
+
+def test_a_folder_is_opened_in_the_background(session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    may_go_on, threads = threading.Event(), []
+    read = capture_view._read
+
+    def slowly(path: Path):
+        may_go_on.wait(60)
+        threads.append(threading.current_thread())
+        return read(path)
+
+    monkeypatch.setattr(capture_view, "_read", slowly)
+    session.captures.open(written_capture(tmp_path / "drive"))
+    session.captures.poll(session)
+    assert session.captures.capture is None
+    assert session.captures.busy == "Reading drive"
+    assert session.is_working
+    may_go_on.set()
+    _wait(session)
+    assert session.captures.busy is None
+    assert session.captures.capture is not None and len(session.captures.capture) == 4
+    assert threads[0] is not threading.main_thread()
+
+
+def test_what_is_no_capture_is_told_and_the_open_one_stays(session: Session, tmp_path: Path):
+    _opened(session, small_capture())
+    session.captures.open(tmp_path / "nowhere")
+    _wait(session)
+    assert session.problem is not None and "nowhere" in session.problem
+    assert session.captures.capture is not None and session.captures.capture.name == "small"
+
+
+def test_looking_from_a_view_takes_its_place_and_moment(session: Session):
+    _opened(session, small_capture())
+    captures = session.captures
+    session.view.follow_path = True
+    captures.look_from(session, 2)
+    camera = captures.cameras(session.scene)[2]
+    eye = session.navigation.camera(300, 200)
+    assert eye.position == pytest.approx(camera.position)
+    assert eye.world_to_camera[2, :3] == pytest.approx(camera.world_to_camera[2, :3])
+    assert not session.view.follow_path
+    assert captures.stands_at(session) == 2
+    session.navigation.turn(0.01, 0.0)
+    assert captures.stands_at(session) is None
+
+
+def test_stepping_goes_round_the_views_of_one_camera(session: Session):
+    _opened(session, small_capture())
+    captures = session.captures
+    captures.sensor = "right"
+    assert captures.listed == [1, 3]
+    seen = []
+    for step in (1, 1, 1, -1):
+        captures.step(session, step)
+        seen.append(captures.chosen)
+    assert seen == [1, 3, 1, 3]
+
+
+def test_time_stops_at_the_moment_of_a_picture_where_things_move(session: Session):
+    _opened(session, small_capture())
+    captures = session.captures
+    assert session.scene.actors == ()
+    session.clock.seek(4.0)
+    captures.look_from(session, 3)
+    assert session.clock.time_s == 4.0
+
+
+def test_a_capture_lies_as_the_scene_that_was_made_from_it_does(session: Session):
+    capture = replace(small_capture(), up=(0.0, -1.0, 0.0))
+    made = replace(small_scene(), up=(0.05, -1.0, 0.0), metres_per_unit=3.0)
+    _opened(session, capture)
+    captures = session.captures
+    assert captures.to_world(made) == pytest.approx(made.scene_to_world)
+    assert captures.cameras(made)[1].position == pytest.approx(
+        made.scene_to_world[:3, :3] @ capture[1].camera.position, abs=1e-9
+    )
+    # Beside a scene of other axes its own up is turned up, at its own scale; a person may overrule that.
+    other = small_scene()
+    assert captures.to_world(other)[:3, :3] @ [0.0, -1.0, 0.0] == pytest.approx([0, 0, 1])
+    captures.in_scene_axes = True
+    assert captures.to_world(other) == pytest.approx(other.scene_to_world)
+    captures.in_scene_axes = None
+    assert captures.to_world(Scene("none"))[2, :3] == pytest.approx([0, -1, 0])
+
+
+def test_pictures_come_when_they_are_asked_for_and_broken_ones_are_named(session: Session):
+    capture = small_capture()
+
+    def broken() -> np.ndarray:
+        raise CaptureError("001.png: cut off")
+
+    views = (capture[0], replace(capture[1], image_source=broken), *capture.views[2:])
+    _opened(session, replace(capture, views=views, problems=("a frame is missing",)))
+    pictures = session.captures.pictures
+    assert pictures is not None
+    for view in (0, 1):
+        assert pictures.want(view, THUMBNAIL_PX) is None
+        _read_one(pictures)
+    shown = pictures.want(0, THUMBNAIL_PX)
+    assert shown is not None and tuple(shown[10, 10]) == COLORS[0]
+    assert session.captures.problems == ["a frame is missing", "001.png: cut off"]
+    assert pictures.want(1, THUMBNAIL_PX) is None
+    pictures.poll()
+    assert not pictures.is_reading  # what is broken is not tried again
+
+
+def _read_one(pictures: ViewPictures) -> None:
+    pictures.poll()
+    assert pictures._reading is not None
+    pictures._reading[1].exception(timeout=60)
+    pictures.poll()
+
+
+def test_of_many_points_a_fair_share_is_shown():
+    rng = np.random.default_rng(0)
+    sweeps = [Sweep(float(i), rng.random((MOST_POINTS, 3), np.float32) + 5 * i, np.zeros(3)) for i in range(2)]
+    got = shown_points(replace(small_capture(), sweeps=tuple(sweeps)))
+    assert got is not None
+    assert got.total == 2 * MOST_POINTS + 500
+    assert MOST_POINTS - 3 <= len(got.positions) <= MOST_POINTS
+    assert np.mean(got.positions[300:, 2] > 3) == pytest.approx(0.5, abs=0.01)
+    heights, colors = got.positions[500:, 2], got.colors[500:].astype(int)
+    low, high = colors[np.argmin(heights)], colors[np.argmax(heights)]
+    assert low[2] > low[0] and high[0] > high[2]  # from blue to red
+
+
+def test_coloured_points_keep_their_colours():
+    got = shown_points(small_capture())
+    assert got is not None and got.total == 500
+    assert (got.colors == [255, 0, 255]).all()
+    assert shown_points(replace(small_capture(), points_m=None)) is None

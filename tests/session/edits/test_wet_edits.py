@@ -1,0 +1,176 @@
+"""Every edit takes wet colours along: seen soaked, an edited scene is the edited scene of its soaked colours alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gsrain_engine.scene.flattening import flattened
+from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.marks import UNMARKED
+from gsrain_engine.scene.mask import Mask
+from gsrain_engine.scene.wet_colors import (
+    blended_sh,
+    with_wet_colors_of,
+    with_wetness_baked,
+    without_wet_colors,
+)
+from gsrain_engine.session.edits import layers, marking
+from gsrain_engine.session.edits.actors import turn_actor
+from gsrain_engine.session.edits.compacting import compact
+from gsrain_engine.session.edits.moving import move_member, move_selected, moving
+from gsrain_engine.session.edits.new_gaussians import with_gaussians_of
+from gsrain_engine.session.files.open_scene import open_to_draw
+from gsrain_engine.session.jobs.rainy_look import with_colors
+
+from .edited_scene import assert_same, edited_scene, turned, with_selection, without
+from .edited_scene import seen as seen_together
+
+TURN = turned(35, 0, 1.3, (0.5, -0.2, 0.1))
+
+
+def wet_of(member, seed=5):
+    return np.random.default_rng(seed).normal(0, 0.4, member.gaussians.sh.shape).astype(np.float32)
+
+
+def wet_scene(*names):
+    """The scene of the other tests with wet colours for the members that are named, a selection and what is deleted."""
+    scene = with_selection(edited_scene(), ground=9, house=7, car=5)
+    for seed, each in enumerate(scene.members):
+        gone = Mask.of(np.arange(len(each.gaussians)) % 4 == 1)
+        wet = wet_of(each, seed) if not names or each.name in names else None
+        scene = scene.with_member(each.key, wet_sh=wet, marks=replace(each.marks, deleted=gone))
+    return scene
+
+
+def soaked(scene):
+    """Wet colours as the only ones."""
+    return with_wetness_baked(scene, 1.0)
+
+
+def seen(scene, wetness=0.0):
+    baked = [flattened(replace(scene, layers=(each,), actors=())) for each in with_wetness_baked(scene, wetness).layers]
+    baked += [
+        flattened(replace(scene, layers=(), actors=(each,))) for each in with_wetness_baked(scene, wetness).actors
+    ]
+    return Gaussians.concatenate(baked)
+
+
+def twice(scene):
+    return layers.duplicate(scene, "layers/house")
+
+
+EDITS = {
+    "nothing": lambda scene: scene,
+    "delete": marking.delete_selected,
+    "isolate": marking.isolate_selected,
+    "compact": compact,
+    "separate": layers.separate,
+    "merge": lambda scene: layers.merge(scene, ["layers/ground", "layers/house"]),
+    "merge alike": lambda scene: layers.merge(
+        layers.duplicate(scene, "layers/house"), ["layers/house", "layers/house 2"]
+    ),
+    "duplicate": lambda scene: layers.duplicate(scene, "actors/car"),
+    "rename": lambda scene: layers.rename(scene, "layers/house", "shed"),
+    "import": lambda scene: layers.import_scene(replace(without(scene, "sky"), up=(0.0, 0.0, 1.0)), scene),
+    "move the selection": lambda scene: move_selected(scene, TURN),
+    "shift the selection": lambda scene: move_selected(scene, turned(0, by=(1.0, 0.0, 0.0))),
+    "move a layer": lambda scene: move_member(scene, "layers/house", TURN),
+    "move an actor": lambda scene: move_member(scene, "actors/car", TURN),
+    "drag": lambda scene: moving(scene, None, TURN),
+    "turn an actor": lambda scene: turn_actor(scene, "actors/car", 30.0),
+}
+
+
+@pytest.mark.parametrize("names", [(), ("ground",), ("house", "car")], ids=["all", "one", "some"])
+@pytest.mark.parametrize("name", EDITS)
+def test_wet_colours_come_along(name, names):
+    edit, scene = EDITS[name], wet_scene(*names)
+    edited = edit(scene)
+    assert_same(seen(edited, 1.0), seen(edit(soaked(scene))))
+    assert_same(seen(edited, 0.0), seen(edit(with_wetness_baked(scene, 0.0))))
+    assert any(each.wet_sh is not None for each in edited.members)
+    assert np.abs(seen(edited, 1.0).sh - seen(edited, 0.0).sh).max() > 0.1
+
+
+def test_a_shift_shares_the_harmonics():
+    scene = wet_scene()
+    shifted = move_selected(scene, turned(0, by=(1.0, 0.0, 0.0)))
+    assert all(new.wet_sh is old.wet_sh for new, old in zip(shifted.members, scene.members, strict=True))
+
+
+def test_a_merged_layer_without_wet_colours_is_clear_when_soaked():
+    scene = wet_scene("house")
+    merged = layers.merge(scene, ["layers/ground", "layers/house"]).layers[0]
+    differs = np.abs(merged.wet_sh - merged.gaussians.sh).max(axis=(1, 2)) > 1e-3
+    kept = len(scene.layers[1].gaussians) - scene.layers[1].marks.deleted.size
+    assert differs.sum() == kept
+    assert layers.merge(without(wet_scene("car"), "sky"), ["layers/ground", "layers/house"]).layers[0].wet_sh is None
+
+
+def test_blends_end_at_the_very_numbers():
+    member = wet_scene().layers[0]
+    clear, wet = member.gaussians.sh, member.wet_sh
+    assert blended_sh(clear, wet, 0.0).tobytes() == clear.tobytes()
+    assert blended_sh(clear, wet, 1.0).tobytes() == wet.tobytes()
+    np.testing.assert_allclose(blended_sh(clear, wet, 0.25), 0.75 * clear + 0.25 * wet, atol=1e-6)
+
+
+def test_wet_colours_have_the_shape_of_the_clear_ones():
+    layer = edited_scene().layers[0]
+    with pytest.raises(ValueError, match=r"layers/ground: wet colours have shape \(39, 4, 3\), expected \(40, 4, 3\)"):
+        replace(layer, wet_sh=layer.gaussians.sh[1:])
+
+
+def test_a_finished_recolouring_leaves_everything_else():
+    scene = edited_scene()
+    finished = with_colors(scene, {each.key: wet_of(each) for each in scene.members})
+    assert all(new.gaussians is old.gaussians for new, old in zip(finished.members, scene.members, strict=True))
+    meanwhile = move_selected(with_selection(layers.rename(scene, "layers/sky", "heaven"), house=3), TURN)
+    taken = with_wet_colors_of(meanwhile, finished)
+    assert [each.wet_sh is not None for each in taken.members] == [True, True, False, True]
+    assert all(new.gaussians is old.gaussians for new, old in zip(taken.members, meanwhile.members, strict=True))
+    with pytest.raises(ValueError, match="fit none"):
+        with_wet_colors_of(without(meanwhile, "ground", "house", "car"), finished)
+    with pytest.raises(ValueError, match="fit none"):
+        with_wet_colors_of(scene, scene)
+
+
+def test_new_gaussians_bring_their_wet_colours_or_lose_the_old_ones():
+    scene = wet_scene()
+    fewer = scene.layers[0].gaussians.take(slice(0, 5))
+    other = scene.with_member("layers/ground", gaussians=fewer, wet_sh=None, marks=UNMARKED)
+    changed = with_gaussians_of(scene, without(other, "house"))
+    assert changed.layers[0].wet_sh is None
+    assert changed.layers[1].wet_sh is scene.layers[1].wet_sh
+
+
+def test_colours_of_what_files_know_leave_the_deleted_alone():
+    scene = wet_scene()
+    house = scene.layers[1]
+    kept = (~house.marks.deleted).indices
+    sh = wet_of(house)[kept]
+    wet = with_colors(scene, {house.key: sh}).layers[1].wet_sh
+    np.testing.assert_array_equal(wet[kept], sh)
+    np.testing.assert_array_equal(wet[house.marks.deleted.indices], house.gaussians.sh[house.marks.deleted.indices])
+
+
+def test_wet_colours_are_taken_away():
+    scene = wet_scene()
+    assert not without_wet_colors(scene, "layers/house").layers[1].wet_sh
+    assert without_wet_colors(scene, "layers/house").has_wet_colors
+    with pytest.raises(KeyError):
+        without_wet_colors(scene, "layers/moon")
+
+
+def test_opening_puts_wet_colours_into_the_same_order(tmp_path):
+    scene = edited_scene()
+    for seed, each in enumerate(scene.members):
+        scene = scene.with_member(each.key, wet_sh=wet_of(each, seed))
+    write_scene(scene, tmp_path / "s")
+    opened = open_to_draw(str(tmp_path / "s"))
+    assert not np.array_equal(opened.layers[0].gaussians.means, scene.layers[0].gaussians.means)
+    for wetness in (0.0, 1.0):
+        first, second = (seen_together(with_wetness_baked(each, wetness)) for each in (opened, scene))
+        assert_same(first, second)

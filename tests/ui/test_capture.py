@@ -1,0 +1,162 @@
+"""A recorded capture in the real window, opened and looked from as a person does."""
+
+import numpy as np
+from imgui_bundle import ImVec2
+from PIL import ImageGrab
+
+from gsrain_engine.session.capture import capture_view
+from gsrain_engine.session.capture.shown_points import shown_points
+from gsrain_engine.session.capture.view_pictures import LARGE_PX, THUMBNAIL_PX, Wish
+from session.capture.small_capture import COLORS, small_capture, written_capture
+from window_driver import Driver, imgui
+
+
+def _grabbed(driver) -> np.ndarray:
+    """The screen, as a person sees it."""
+    driver.frames(3)
+    return np.asarray(ImageGrab.grab(xdisplay=None).convert("RGB")).astype(int)
+
+
+def _share(pixels: np.ndarray, color: tuple[int, int, int]) -> float:
+    return float((np.abs(pixels - color).max(axis=2) <= 10).mean())
+
+
+def _click_slowly() -> None:
+    """Let two clicks be a double click however long a frame takes on a busy machine."""
+    io = imgui.get_io()
+    io.mouse_single_click_delay = 61.0
+    io.mouse_double_click_time = 60.0
+
+
+def _views(driver) -> str:
+    """The list of views, a window of its own in the panel; its name has slashes."""
+    return driver.ctx.window_info("//Capture/views").window.name.replace("/", "\\/")
+
+
+def _idle(driver) -> None:
+    driver.until(lambda: not driver.session.captures.is_working)
+    driver.frames(6)
+
+
+def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
+    folder = written_capture(tmp_path / "drive")
+    driver = Driver(tmp_path / "shots", backend="opengl")
+    (tmp_path / "shots").mkdir()
+    captures = driver.session.captures
+
+    def script():
+        driver.ctx.window_focus("//Capture")
+        driver.frames()
+        captures.open(folder)
+        driver.until(lambda: captures.capture is not None)
+        assert driver.session.problem is None
+        _idle(driver)
+        assert {wish.view for wish in captures.textures if wish.width_px == THUMBNAIL_PX} == {0, 1, 2, 3}
+
+        # A double click in the list looks from there, and the recorded picture fills the viewport.
+        captures.opacity = 1.0
+        _click_slowly()
+        driver.ctx.item_double_click(f"//{_views(driver)}/##view 001")
+        driver.frames()
+        assert captures.chosen == 1
+        assert captures.stands_at(driver.session) == 1
+        _idle(driver)
+        assert Wish(1, LARGE_PX) in captures.textures
+        assert _share(_grabbed(driver), COLORS[1]) > 0.05
+
+        # Keys go from view to view; the slider and the switch lay the picture over the render.
+        driver.ctx.mouse_move("//View/view")
+        driver.press(imgui.Key.page_down)
+        assert captures.stands_at(driver.session) == 2
+        _idle(driver)
+        assert _share(_grabbed(driver), COLORS[2]) > 0.05
+        driver.press(imgui.Key.page_up)
+        assert captures.stands_at(driver.session) == 1
+        driver.ctx.set_ref("//Capture")
+        driver.ctx.item_click("Picture")
+        assert not captures.show_picture
+        assert _share(_grabbed(driver), COLORS[1]) < 0.02
+
+        # Only the views of one camera are left when it is chosen.
+        driver.ctx.combo_click("Camera/right")
+        driver.frames()
+        assert captures.listed == [1, 3]
+        driver.ctx.item_click("###next view")
+        driver.frames()
+        assert captures.chosen == 3
+
+        driver.ctx.item_click("###close capture")
+        driver.frames()
+        assert captures.capture is None
+        assert captures.textures == {}
+
+    driver.run(script)
+
+
+def test_cameras_and_points_stand_in_the_picture_and_are_clicked(tmp_path):
+    folder = written_capture(tmp_path / "drive")
+    driver = Driver(tmp_path / "shots", backend="opengl")
+    (tmp_path / "shots").mkdir()
+    session, captures = driver.session, driver.session.captures
+
+    def script():
+        captures.open(folder)
+        driver.until(lambda: captures.capture is not None)
+        session.navigation.position = np.array([-3.0, 1.0, 3.0])
+        session.navigation.heading, session.navigation.pitch = -0.2, -0.3
+        driver.frames(4)
+        camera = session.shot(*captures.viewport_px).camera
+        eye = captures.cameras(session.scene)[3].position
+        x, y, z = (camera.world_to_camera @ np.append(eye, 1.0))[:3]
+        at = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        corner = driver.ctx.item_info("//View/view").rect_full.min
+        driver.ctx.mouse_move_to_pos(ImVec2(corner.x + at[0], corner.y + at[1]))
+        driver.frames()
+        driver.ctx.mouse_click()
+        driver.frames()
+        assert captures.chosen == 3
+        _click_slowly()
+        driver.ctx.mouse_double_click()
+        driver.frames()
+        assert captures.stands_at(session) == 3
+
+        # A drag moves on; the cameras show again.
+        driver.drag("//View/view", ImVec2(60, 10))
+        assert captures.stands_at(session) is None
+
+    driver.run(script)
+
+
+def test_what_cannot_be_opened_is_told(tmp_path):
+    driver = Driver(tmp_path, backend="opengl")
+
+    def script():
+        driver.session.captures.open(tmp_path / "nothing here")
+        driver.until(lambda: driver.session.problem is not None)
+        assert "nothing here" in driver.session.problem
+        driver.frames(3)
+
+    driver.run(script)
+
+
+def test_measured_points_are_drawn_over_the_picture(tmp_path, monkeypatch):
+    capture = small_capture()
+    monkeypatch.setattr(capture_view, "_read", lambda path: (capture, shown_points(capture)))
+    driver = Driver(tmp_path, backend="opengl")
+    session, captures = driver.session, driver.session.captures
+
+    def script():
+        captures.open(tmp_path)
+        driver.until(lambda: captures.capture is not None)
+        captures.show_frustums = False
+        session.navigation.position = np.array([0.0, 0.0, 1.5])
+        session.navigation.heading = session.navigation.pitch = 0.0
+        with_points = _share(_grabbed(driver), (255, 0, 255))
+        driver.ctx.window_focus("//Capture")
+        driver.frames()
+        driver.ctx.set_ref("//Capture")
+        driver.ctx.item_click("Points")
+        assert _share(_grabbed(driver), (255, 0, 255)) == 0
+        assert with_points > 5e-4
+
+    driver.run(script)

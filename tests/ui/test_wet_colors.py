@@ -1,0 +1,108 @@
+"""The appearance follows the rain: wet colours from the preview job, the intensity, wetness by hand, undo and redo."""
+
+import numpy as np
+import pytest
+
+from small_scene import small_scene
+from ui.shortcuts import chord
+from window_driver import Driver, imgui
+
+UNDO, REDO = chord(imgui.Key.mod_ctrl, imgui.Key.z), chord(imgui.Key.mod_ctrl, imgui.Key.y)
+
+
+def darker(scene):
+    for each in scene.members:
+        scene = scene.with_member(each.key, wet_sh=each.gaussians.sh - np.float32(0.6))
+    return scene
+
+
+@pytest.fixture
+def driver(tmp_path):
+    return Driver(tmp_path)
+
+
+@pytest.fixture
+def wet_driver(tmp_path):
+    return Driver(tmp_path, darker(small_scene()))
+
+
+def test_the_finished_job_is_one_step_that_the_intensity_blends_in(driver):
+    def script():
+        session = driver.session
+        driver.click("//Rain/Streaks")  # so that the pictures show the scene alone
+        driver.click("//Rain/Haze")
+        clear, before = driver.picture(), session.scene
+        driver.click("//Jobs/Make it rainy (preview)")
+        driver.until(lambda: session.scene is not before, 100_000)
+        assert [new.gaussians for new in session.scene.members] == [old.gaussians for old in before.members]
+        assert all(each.wet_sh is not None for each in session.scene.members)
+        assert np.array_equal(driver.picture(), clear)  # it does not rain
+        driver.ctx.item_input_value("//Rain/##intensity_mm_h", 12.0)
+        driver.frames()
+        wet = driver.picture()
+        assert np.abs(wet - clear).mean() > 3
+        driver.press(UNDO)
+        assert np.array_equal(driver.picture(), clear)
+        driver.press(UNDO)
+        assert session.scene is before
+        driver.press(REDO)
+        driver.press(REDO)
+        assert np.array_equal(driver.picture(), wet)
+
+    driver.run(script)
+
+
+def test_wetness_by_hand_and_by_the_intensity(wet_driver):
+    driver = wet_driver
+
+    def script():
+        session = driver.session
+        driver.click("//Rain/12.0")
+        assert session.wetness_now == pytest.approx(0.954, abs=1e-3)
+        driver.click("//Rain/auto")
+        assert session.rain.wetness == pytest.approx(0.954, abs=1e-3)
+        driver.ctx.item_input_value("//Rain/##wetness", 0.25)
+        driver.frames()
+        assert session.rain.wetness == 0.25
+        steps = len(session.history.labels)
+        dark = driver.picture().mean()
+        driver.drag("//Rain/##wetness", (-200, 0))
+        assert session.rain.wetness == 0
+        assert len(session.history.labels) == steps + 1
+        assert driver.picture().mean() > dark + 2
+        driver.press(UNDO)
+        assert session.rain.wetness == 0.25
+        driver.click("//Rain/auto")
+        assert session.rain.wetness is None
+        driver.click("//Rain/clear")
+        assert session.wetness_now == 0
+
+    driver.run(script)
+
+
+def test_without_wet_colours_there_is_nothing_to_set(driver):
+    def script():
+        driver.click("//Rain/auto")
+        assert driver.session.rain.wetness is None
+        assert driver.session.history.undo_label is None
+
+    driver.run(script)
+
+
+def test_a_layers_wet_colours_are_taken_away_by_its_menu(wet_driver):
+    driver = wet_driver
+
+    def script():
+        session = driver.session
+        driver.ctx.window_focus("//Layers")
+        driver.frames()
+        driver.ctx.item_click("//Layers/members/###layers wall", imgui.MouseButton_.right)
+        driver.frames()
+        driver.ctx.item_click("//$FOCUSED/Remove wet colours")
+        driver.frames()
+        assert [each.wet_sh is not None for each in session.scene.members] == [True, False, True]
+        assert session.history.undo_label == "Remove wet colours of wall"
+        driver.press(UNDO)
+        assert all(each.wet_sh is not None for each in session.scene.members)
+
+    driver.run(script)
