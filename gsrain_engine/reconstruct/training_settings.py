@@ -91,7 +91,7 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
             title="Coarse",
             description="Share of the steps with small pictures: first a quarter of the size, then half.",
         ),
-    ] = 0.4
+    ] = 0.1
     sky: Annotated[bool, Meta(title="Sky", description="Fit a dome of far Gaussians where the sky is.")] = True
     own_body: Annotated[
         bool, Meta(title="Own body", description="Look for the vehicle's own body in the pictures, and leave it out.")

@@ -1,0 +1,98 @@
+"""From a capture to Gaussians, and from pictures to their colours, in the real window."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsrain_engine.datasets.capture_folder import write_views
+from reconstruct.drive_capture import drive_capture, world_depth
+from ui.panels import reconstruct_fields
+from ui.shortcuts import chord
+from window_driver import Driver, imgui
+
+pytest.importorskip("torch")
+
+UNDO, REDO = chord(imgui.Key.mod_ctrl, imgui.Key.z), chord(imgui.Key.mod_ctrl, imgui.Key.y)
+DIM = 0.45
+
+
+@pytest.fixture
+def drive(tmp_path):
+    """Views of a road and a wall, with depth; and the same pictures as they look in bad light."""
+    capture = drive_capture()
+    views = [
+        # The sky has no depth, the rest has.
+        type(view)(
+            f"view{view.name}", view.camera, view.image, view.time_s, "FRONT",
+            depth_source=np.where(np.isfinite(depth := world_depth(view.camera)), depth, 0).astype(np.float32),
+        )
+        for view in capture
+    ]  # fmt: skip
+    for _ in write_views(tmp_path / "drive", views):
+        pass
+    (tmp_path / "dim").mkdir()
+    for view in views:
+        Image.fromarray((DIM * view.image).astype(np.uint8)).save(tmp_path / "dim" / f"{view.name}.png")
+    return tmp_path
+
+
+def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, monkeypatch):
+    shots = drive / "shots"
+    shots.mkdir()
+    monkeypatch.setenv("XDG_DATA_HOME", str(drive / "data"))
+    settings = reconstruct_fields.load_settings("draft", steps=60, width_px=96, gaussians=3000, measured_every=20)
+    monkeypatch.setattr(reconstruct_fields._chosen, "settings", settings)
+    driver = Driver(shots)
+    session = driver.session
+
+    def ended(job):
+        return job.state != "running" and session.staged is None
+
+    def script():
+        before = session.scene
+        session.captures.open(drive / "drive")
+        driver.until(lambda: session.captures.capture is not None)
+        driver.ctx.window_focus("//Capture")
+        driver.ctx.item_open("//Capture/Reconstruct")
+        driver.frames()
+        driver.ctx.item_click("//Capture/Reconstruct/Reconstruct")
+        driver.frames()
+        (job,) = session.jobs
+        driver.until(lambda: ended(job), 1_000_000)
+        assert (job.state, job.error) == ("finished", None)
+        assert session.history.labels == ["Open", "Reconstruct drive"]
+        assert {layer.kind for layer in session.scene.layers} == {"background", "sky"}
+        assert job.report.is_file()
+
+        # The picture from a recorded camera is like the photograph, and undo brings the earlier scene back.
+        captures = session.captures
+        captures.show_picture = captures.show_points = captures.show_frustums = False
+        captures.look_from(session, 2)
+        trained = driver.picture()
+        height, width = trained.shape[:2]
+        road = trained[3 * height // 4 :, width // 3 : 2 * width // 3].mean(axis=(0, 1))
+        assert np.abs(road - captures.view.image[48:, 32:64].mean(axis=(0, 1))).max() < 25
+        driver.press(UNDO)
+        assert session.scene is before
+        driver.press(REDO)
+        assert session.scene is not before
+
+        # Dim pictures of the same views give it wet colours, which come with the rain.
+        driver.click("//Rain/Streaks")
+        driver.click("//Rain/Haze")
+        reconstruct_fields._recolor(session, drive / "drive", [drive / "dim"])
+        driver.until(lambda: ended(session.jobs[-1]), 1_000_000)
+        assert (session.jobs[-1].state, session.jobs[-1].error) == ("finished", None)
+        assert np.array_equal(driver.picture(), trained)  # it does not rain
+        driver.ctx.item_input_value("//Rain/##intensity_mm_h", 12.0)
+        driver.frames()
+        wet = driver.picture()
+        assert 0.35 < wet.mean() / trained.mean() < 0.65
+        driver.press(UNDO)
+        driver.press(UNDO)
+        assert all(member.wet_sh is None for member in session.scene.members)
+        driver.press(REDO)
+        driver.press(REDO)
+        assert np.array_equal(driver.picture(), wet)
+
+    driver.run(script)
