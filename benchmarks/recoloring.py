@@ -15,11 +15,11 @@ from matplotlib.figure import Figure
 from gsrain_engine.datasets.capture import View
 from gsrain_engine.evaluate.image_metrics import psnr
 from gsrain_engine.raster.rasterizer import rasterize
-from gsrain_engine.reconstruct.recolor_choice import chosen_pull
-from gsrain_engine.reconstruct.recolor_problem import ColorProblem
-from gsrain_engine.reconstruct.recolor_settings import RecolorSettings
-from gsrain_engine.reconstruct.recolor_setup import SetUp, set_up
-from gsrain_engine.reconstruct.recolor_views import TargetView
+from gsrain_engine.reconstruct.recoloring.choice import chosen_pull
+from gsrain_engine.reconstruct.recoloring.problem import ColorProblem
+from gsrain_engine.reconstruct.recoloring.settings import RecolorSettings
+from gsrain_engine.reconstruct.recoloring.setup import SetUp, set_up
+from gsrain_engine.reconstruct.recoloring.views import TargetView
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
@@ -61,7 +61,7 @@ def known_change(picture: np.ndarray, view: View) -> np.ndarray:
 
 def street_views(scene: Scene, times_s: list[float], *, mesh: bool = False) -> Iterator[TargetView]:
     """Render the street, and change how it looks by what its mesh says about each pixel."""
-    from gsrain_engine.datasets.street_views import StreetViews
+    from gsrain_engine.datasets.street.views import StreetViews
     from gsrain_engine.scene.street.build import street_surfaces
 
     photographer = StreetViews(street_surfaces(), with_lead=False)

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from gsrain_engine.datasets.capture import Capture
-from gsrain_engine.datasets.street_views import capture_street
-from gsrain_engine.reconstruct.training import reconstruct
-from gsrain_engine.reconstruct.training_settings import load_settings
-from gsrain_engine.reconstruct.training_task import ReconstructionTask
+from gsrain_engine.datasets.street.views import capture_street
+from gsrain_engine.reconstruct.training.settings import load_settings
+from gsrain_engine.reconstruct.training.task import ReconstructionTask
+from gsrain_engine.reconstruct.training.training import reconstruct
 from gsrain_engine.render.machine import machine
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.rig import rig_camera

@@ -10,9 +10,9 @@ from rich.table import Table
 
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.capture_summary import CaptureSummary, summarized
+from gsrain_engine.datasets.checks.pose_checks import PoseCheck, check_poses
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from gsrain_engine.datasets.overlay import contact_sheet
-from gsrain_engine.datasets.pose_checks import PoseCheck, check_poses
 from gsrain_engine.datasets.readable_pictures import readable_pictures
 
 from .progress import progress_bar

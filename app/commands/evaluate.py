@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
-from gsrain_engine.datasets.rainsense import RainSequence, find_rain_sequences
+from gsrain_engine.datasets.rainsense.sequence import RainSequence, find_rain_sequences
 from gsrain_engine.evaluate.rain_over_picture import Window
 from gsrain_engine.evaluate.real_rain import Comparison, Measured, above_horizon, compare, evenly_chosen
 from gsrain_engine.evaluate.streak_statistics import ANGLE_EDGES_DEG, LENGTH_EDGES_PX

@@ -12,8 +12,8 @@ from rich.table import Table
 
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.evaluate.run_report import write_report
-from gsrain_engine.reconstruct.recolor_settings import RecolorSettings
+from gsrain_engine.evaluate.report.run_report import write_report
+from gsrain_engine.reconstruct.recoloring.settings import RecolorSettings
 from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.formats.scene_files import names_scene_folder
 from gsrain_engine.scene.progress import Progress as Step
@@ -63,7 +63,7 @@ def recolor(
     _check_output(output)
     pictures = _pictures(images, capture)
     # Kernels and torch take a second or two to load: only now, that there is something to do.
-    from gsrain_engine.reconstruct.recolor_run import recolor_to_capture
+    from gsrain_engine.reconstruct.recoloring.run import recolor_to_capture
 
     try:
         run = _followed(recolor_to_capture(open_scene(scene), pictures, options))
@@ -82,7 +82,7 @@ def recolor(
 
 
 def _options(options: dict[str, Any], colors: dict[str, Any], *, replace_clear: bool) -> Any:
-    from gsrain_engine.reconstruct.recolor_run import RecolorOptions
+    from gsrain_engine.reconstruct.recoloring.run import RecolorOptions
 
     try:
         return msgspec.convert(options | {"replace_clear": replace_clear, "colors": colors}, RecolorOptions)
@@ -103,7 +103,7 @@ def _check_output(output: Path) -> None:
 def _pictures(images: Path, capture: Path | None) -> Capture:
     if capture is None:
         return open_capture(images)
-    from gsrain_engine.reconstruct.training_images import with_images
+    from gsrain_engine.reconstruct.training.images import with_images
 
     return with_images(open_capture(capture), images)
 

@@ -10,12 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from gsrain_engine.reconstruct.training_settings import (
-    TrainingSettings,
-    help_of,
-    load_settings,
-    settings_names,
-)
+from gsrain_engine.reconstruct.training.settings import TrainingSettings, help_of, load_settings, settings_names
 from gsrain_engine.scene.progress import Progress as Step
 
 from .arguments import JsonFile, write_numbers
@@ -61,8 +56,8 @@ def reconstruct(
     _check_output(output)
     # torch is an extra, and takes two seconds: only now, that there is something to do.
     try:
-        from gsrain_engine.reconstruct.training import reconstruct as work
-        from gsrain_engine.reconstruct.training_task import ReconstructionTask
+        from gsrain_engine.reconstruct.training.task import ReconstructionTask
+        from gsrain_engine.reconstruct.training.training import reconstruct as work
     except ModuleNotFoundError as error:
         if error.name != "torch":
             raise

@@ -47,7 +47,7 @@ def street(
 
 def _photographs(scene: Scene, rig: str, moments: int, width: int) -> Iterator[View]:
     """Photograph the mesh with every camera of a rig, at moments spread over the drive."""
-    from gsrain_engine.datasets.street_views import StreetViews  # pyrender and OpenGL load only here
+    from gsrain_engine.datasets.street.views import StreetViews  # pyrender and OpenGL load only here
     from gsrain_engine.scene.street.build import street_surfaces
 
     assert scene.ego is not None

@@ -12,9 +12,9 @@ from typing import Any
 import msgspec
 
 from .capture import Capture, CaptureError
+from .files.picture_file import pictures_in
 from .image_folder import capture_without_poses
 from .named_problems import some_names
-from .picture_file import pictures_in
 
 _NAME = re.compile(r"[0-9a-f]{8}-[0-9a-f]{8}(-\d{7})?")
 _IMAGE_LAYOUTS = (".", "images", "images/*", "images/*/*", "bdd100k/images/*/*")

@@ -17,10 +17,10 @@ from PIL import Image
 from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S, Camera
 from gsrain_engine.scene.errors import SceneFormatError
 
-from .array_file import read_floats
 from .capture import Capture, CaptureError, Lens, View
-from .json_file import read_json_rows
-from .picture_file import picture_size, read_color, read_labels, read_mask
+from .files.array_file import read_floats
+from .files.json_file import read_json_rows
+from .files.picture_file import picture_size, read_color, read_labels, read_mask
 
 CAMERAS = "cameras.json"
 

@@ -12,10 +12,10 @@ from jaxtyping import Float, Float32, Float64
 from gsrain_engine.scene.rotations import quaternions_from_matrices
 from gsrain_engine.scene.track import Track
 
-from .box_tracks import BoxSample, tracked_boxes
 from .capture import EGO_HEIGHT_M, Capture, CaptureError, Sweep, View
-from .rigid_poses import moved_to, transformed
-from .road_height import road_height
+from .geometry.box_tracks import BoxSample, tracked_boxes
+from .geometry.rigid_poses import moved_to, transformed
+from .geometry.road_height import road_height
 
 MOST_POINTS = 24_000_000
 """Lidar points that a capture holds (0.4 GB); of longer drives every k-th is kept."""

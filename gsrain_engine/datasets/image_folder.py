@@ -10,8 +10,8 @@ import numpy as np
 from gsrain_engine.scene.camera import Camera
 
 from .capture import Capture, CaptureError, View
+from .files.picture_file import picture_size, pictures_in, read_color
 from .named_problems import some_names
-from .picture_file import picture_size, pictures_in, read_color
 
 ASSUMED_HORIZONTAL_FOV_DEG = 60.0
 """Of cameras that nobody calibrated: between a phone's (about 65) and a narrow driving camera's (50)."""

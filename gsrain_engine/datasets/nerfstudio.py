@@ -9,16 +9,16 @@ from jaxtyping import Float32, Float64, UInt8
 
 from gsrain_engine.scene.camera import Camera
 
-from .array_file import read_floats
 from .capture import Capture, CaptureError, Lens, View
-from .json_file import read_json_object
+from .files.array_file import read_floats
+from .files.json_file import read_json_object
+from .files.picture_file import SUFFIXES, picture_size, read_color, read_mask, read_stored
+from .files.point_ply import read_point_ply
+from .files.reading_errors import what_is_wrong
+from .geometry.rigid_poses import inverse, rigid_from_numbers
+from .geometry.scaled_camera import camera_of_picture, checked_camera
+from .geometry.up_direction import up_of_cameras
 from .named_problems import some_names
-from .picture_file import SUFFIXES, picture_size, read_color, read_mask, read_stored
-from .point_ply import read_point_ply
-from .reading_errors import what_is_wrong
-from .rigid_poses import inverse, rigid_from_numbers
-from .scaled_camera import camera_of_picture, checked_camera
-from .up_direction import up_of_cameras
 from .view_names import sensor_names, view_names
 
 TRANSFORMS = ("transforms.json", "transforms_train.json")

@@ -8,18 +8,18 @@ from pathlib import Path
 from .bdd100k import read_bdd100k, recognizes_bdd100k
 from .capture import Capture, CaptureError
 from .capture_folder import read_capture_folder, recognizes_capture_folder
-from .colmap import read_colmap, recognizes_colmap
-from .dgp import read_dgp, recognizes_dgp
+from .colmap.reader import read_colmap, recognizes_colmap
+from .dgp.reader import read_dgp, recognizes_dgp
+from .files.reading_errors import WRONG_VALUES, what_is_wrong
 from .image_folder import read_image_folder, recognizes_image_folder
-from .kitti_odometry import read_kitti_odometry, recognizes_kitti_odometry
-from .kitti_raw import read_kitti_raw, recognizes_kitti_raw
+from .kitti.odometry import read_kitti_odometry, recognizes_kitti_odometry
+from .kitti.raw import read_kitti_raw, recognizes_kitti_raw
 from .nerfstudio import read_nerfstudio, recognizes_nerfstudio
-from .nuscenes import read_nuscenes, recognizes_nuscenes
-from .nuscenes_infos import read_nuscenes_infos, recognizes_nuscenes_infos
-from .rainsense_capture import read_rainsense, recognizes_rainsense
-from .reading_errors import WRONG_VALUES, what_is_wrong
-from .waymo_records import read_waymo_records, recognizes_waymo_records
-from .waymo_tables import read_waymo_tables, recognizes_waymo_tables
+from .nuscenes.infos import read_nuscenes_infos, recognizes_nuscenes_infos
+from .nuscenes.reader import read_nuscenes, recognizes_nuscenes
+from .rainsense.reader import read_rainsense, recognizes_rainsense
+from .waymo.records import read_waymo_records, recognizes_waymo_records
+from .waymo.tables import read_waymo_tables, recognizes_waymo_tables
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from jaxtyping import Float32, Float64, UInt8
 from gsrain_engine.scene.camera import Camera
 
 from .capture import Capture, TrackedBox, View
-from .lidar_depth import lidar_depth, nearest_sweep, point_depth
+from .geometry.lidar_depth import lidar_depth, nearest_sweep, point_depth
 from .prepared import prepared
 
 _NEAREST_PART, _FARTHEST_PART = 0.02, 0.98

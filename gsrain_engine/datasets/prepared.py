@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float32, Shaped, UInt8
 from gsrain_engine.scene.camera import Camera
 
 from .capture import Lens, View
-from .lens_projection import intrinsics, largest_tangent
-from .scaled_camera import scaled_camera
+from .geometry.lens_projection import intrinsics, largest_tangent
+from .geometry.scaled_camera import scaled_camera
 
 _LENSES_KEPT = 8
 """Maps of so many lenses stay in memory, 8 bytes a pixel each: a rig's cameras."""

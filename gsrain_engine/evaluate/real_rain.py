@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 from jaxtyping import UInt8
 
-from gsrain_engine.datasets.rainsense import RainSequence
+from gsrain_engine.datasets.rainsense.sequence import RainSequence
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import Rainfall
 

@@ -8,17 +8,17 @@ from jaxtyping import Float, Float64
 
 from gsrain_engine.scene.camera import Camera
 
-from .backward_blending import gather
-from .backward_colors import colors_back
-from .backward_projection import project_back
-from .color_gathering import gather_colors
-from .differentiable_cuda import render_with_gsplat
-from .forward_blending import Picture, blend
-from .forward_projection import TrainedGaussians, TrainedSplats, project_trained
-from .rendered import Footprint, Rendered, Tensor
+from .gradients.backward_blending import gather
+from .gradients.backward_colors import colors_back
+from .gradients.backward_projection import project_back
+from .gradients.color_gathering import gather_colors
+from .gradients.cuda import render_with_gsplat
+from .gradients.forward_blending import Picture, blend
+from .gradients.forward_projection import TrainedGaussians, TrainedSplats, project_trained
+from .gradients.rendered import Footprint, Rendered, Tensor
+from .gradients.trained_tensors import check_tensors
 from .splats import nearest_first
 from .tiles import TileLists, bin_into_tiles
-from .trained_tensors import check_tensors
 
 torch: Any = import_module("torch")
 

@@ -81,7 +81,7 @@ def test_bad_input_ends_in_one_line(files, capsys, monkeypatch, changes, expecte
 def test_colors_can_be_polished_and_everything_refined(files, tmp_path):
     pytest.importorskip("torch")
     from gsrain_engine.datasets.open_capture import open_capture
-    from gsrain_engine.reconstruct.recolor_run import RecolorOptions, recolor_to_capture
+    from gsrain_engine.reconstruct.recoloring.run import RecolorOptions, recolor_to_capture
 
     scene, capture = read_scene(files / "clear"), open_capture(files / "capture")
     options = RecolorOptions(held_out=5)

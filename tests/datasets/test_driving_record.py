@@ -6,8 +6,8 @@ import pytest
 from gsrain_engine.datasets import driving_record
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, CaptureError, View
 from gsrain_engine.datasets.driving_record import DrivingRecord, Scan
-from gsrain_engine.datasets.rigid_poses import moved_to, rigid_from_numbers, rigid_from_quaternion
-from gsrain_engine.datasets.road_height import road_height
+from gsrain_engine.datasets.geometry.rigid_poses import moved_to, rigid_from_numbers, rigid_from_quaternion
+from gsrain_engine.datasets.geometry.road_height import road_height
 from gsrain_engine.scene.camera import Camera
 
 

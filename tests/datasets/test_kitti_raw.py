@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.datasets.kitti_calibration import IMU_HEIGHT_M, KittiCamera
-from gsrain_engine.datasets.kitti_oxts import oxts_poses
+from gsrain_engine.datasets.geometry.rigid_poses import rigid
+from gsrain_engine.datasets.kitti.calibration import IMU_HEIGHT_M, KittiCamera
+from gsrain_engine.datasets.kitti.oxts import oxts_poses
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
-from gsrain_engine.datasets.rigid_poses import rigid
 from mini_drive import BOX_LWH, FOCAL, HEIGHT, WIDTH, YAW, MiniDrive, turned
 
 EARTH_M = 6378137.0

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets import epipolar_fit
 from gsrain_engine.datasets.capture import Capture, Sweep, View
-from gsrain_engine.datasets.epipolar_fit import Matches
-from gsrain_engine.datasets.lens_projection import project_points
+from gsrain_engine.datasets.checks import epipolar_fit
+from gsrain_engine.datasets.checks.epipolar_fit import Matches
+from gsrain_engine.datasets.checks.pose_checks import check_poses
+from gsrain_engine.datasets.geometry.lens_projection import project_points
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.datasets.pose_checks import check_poses
 from gsrain_engine.scene.camera import Camera, look_at
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])

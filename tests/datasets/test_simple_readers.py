@@ -10,7 +10,7 @@ from PIL import Image
 
 from colmap_files import write_binary, write_pictures
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.datasets.lens_projection import project_points
+from gsrain_engine.datasets.geometry.lens_projection import project_points
 from gsrain_engine.datasets.open_capture import FORMATS, capture_format, open_capture
 from gsrain_engine.datasets.readable_pictures import readable_pictures
 

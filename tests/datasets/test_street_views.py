@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import View
-from gsrain_engine.datasets.street_views import StreetViews, capture_street, street_meshes
+from gsrain_engine.datasets.street.views import StreetViews, capture_street, street_meshes
 from gsrain_engine.render.context import open_context
 from gsrain_engine.render.splat_renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera, look_at

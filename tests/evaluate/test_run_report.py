@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluate.comparison import WIDEST_PX, Comparison
-from gsrain_engine.evaluate.report_charts import chart, number, ticks
-from gsrain_engine.evaluate.report_page import MOST_PICTURES, report_page
-from gsrain_engine.evaluate.report_pictures import LARGEST_ERROR, error_picture
-from gsrain_engine.evaluate.run_report import Curve, RunReport, write_report
+from gsrain_engine.evaluate.report.charts import chart, number, ticks
+from gsrain_engine.evaluate.report.comparison import WIDEST_PX, Comparison
+from gsrain_engine.evaluate.report.page import MOST_PICTURES, report_page
+from gsrain_engine.evaluate.report.pictures import LARGEST_ERROR, error_picture
+from gsrain_engine.evaluate.report.run_report import Curve, RunReport, write_report
 
 _VOID = {"meta", "img", "input", "link", "br"}
 

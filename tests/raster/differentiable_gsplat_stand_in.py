@@ -2,7 +2,7 @@
 
 import torch
 
-from gsrain_engine.raster.dense import alphas_of, display_colors, in_image, weights_of
+from gsrain_engine.raster.gradients.dense import alphas_of, display_colors, in_image, weights_of
 from gsrain_engine.scene.camera import Camera
 
 

@@ -7,8 +7,8 @@ torch = pytest.importorskip("torch")
 from hypothesis import given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
-from gsrain_engine.raster.dense import render_densely  # noqa: E402
 from gsrain_engine.raster.differentiable import render_gaussians  # noqa: E402
+from gsrain_engine.raster.gradients.dense import render_densely  # noqa: E402
 from gsrain_engine.raster.rasterizer import rasterize  # noqa: E402
 from gsrain_engine.scene.camera import Camera  # noqa: E402
 from gsrain_engine.scene.members import Part  # noqa: E402

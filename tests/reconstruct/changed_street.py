@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from gsrain_engine.raster.rasterizer import rasterize
-from gsrain_engine.reconstruct.preview_cameras import preview_cameras
-from gsrain_engine.reconstruct.recolor_views import TargetView
+from gsrain_engine.reconstruct.recoloring.preview_cameras import preview_cameras
+from gsrain_engine.reconstruct.recoloring.views import TargetView
 from gsrain_engine.scene.scene import Scene
 
 from .small_street import small_street

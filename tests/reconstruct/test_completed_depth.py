@@ -4,9 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsrain_engine.datasets.capture import Capture
-from gsrain_engine.reconstruct.completed_depth import completed_depth
-from gsrain_engine.reconstruct.measured_depth import completed_depths, measured_depths
-from gsrain_engine.reconstruct.road_plane import road_depth, road_drop
+from gsrain_engine.reconstruct.beginning.completed_depth import completed_depth
+from gsrain_engine.reconstruct.beginning.measured_depth import completed_depths, measured_depths
+from gsrain_engine.reconstruct.beginning.road_plane import road_depth, road_drop
 
 from .drive_capture import ROAD_Z, drive_capture, world_depth
 

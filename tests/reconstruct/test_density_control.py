@@ -11,11 +11,11 @@ from gsrain_engine.scene.members import Part
 from .random_splats import random_splats
 
 torch = pytest.importorskip("torch")
-from gsrain_engine.reconstruct.adaptive_density import AdaptiveDensity, AdaptiveSettings, rotated  # noqa: E402
-from gsrain_engine.reconstruct.density_control import DensityControl  # noqa: E402
-from gsrain_engine.reconstruct.monte_carlo_density import MonteCarloDensity, MonteCarloSettings  # noqa: E402
-from gsrain_engine.reconstruct.relocation import MOST_COPIES, relocated  # noqa: E402
-from gsrain_engine.reconstruct.splat_parameters import SplatParameters  # noqa: E402
+from gsrain_engine.reconstruct.density.adaptive import AdaptiveDensity, AdaptiveSettings, rotated  # noqa: E402
+from gsrain_engine.reconstruct.density.control import DensityControl  # noqa: E402
+from gsrain_engine.reconstruct.density.monte_carlo import MonteCarloDensity, MonteCarloSettings  # noqa: E402
+from gsrain_engine.reconstruct.density.relocation import MOST_COPIES, relocated  # noqa: E402
+from gsrain_engine.reconstruct.training.splat_parameters import SplatParameters  # noqa: E402
 
 
 def generator(seed: int = 0):

@@ -6,8 +6,8 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from gsrain_engine.evaluate.image_metrics import ssim  # noqa: E402
-from gsrain_engine.reconstruct import losses  # noqa: E402
-from gsrain_engine.reconstruct.losses import d_ssim, l1  # noqa: E402
+from gsrain_engine.reconstruct.training import losses  # noqa: E402
+from gsrain_engine.reconstruct.training.losses import d_ssim, l1  # noqa: E402
 
 
 def _pictures(height: int = 17, width: int = 23) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

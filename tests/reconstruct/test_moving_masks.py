@@ -10,8 +10,8 @@ from PIL import Image
 from gsrain_engine.datasets.capture import Capture, CaptureError, View
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.prepared import prepared
-from gsrain_engine.reconstruct.measured_depth import measured_depths, static_sweeps
-from gsrain_engine.reconstruct.moving_masks import (
+from gsrain_engine.reconstruct.beginning.measured_depth import measured_depths, static_sweeps
+from gsrain_engine.reconstruct.beginning.moving_masks import (
     box_outline,
     inside_box,
     moves,

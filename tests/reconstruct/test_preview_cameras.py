@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.reconstruct.ground_height import ground_height_m
-from gsrain_engine.reconstruct.preview_cameras import EYE_HEIGHT_M, PREVIEW_PIXELS, preview_cameras
+from gsrain_engine.reconstruct.recoloring.ground_height import ground_height_m
+from gsrain_engine.reconstruct.recoloring.preview_cameras import EYE_HEIGHT_M, PREVIEW_PIXELS, preview_cameras
 from gsrain_engine.scene.scene import Scene
 
 from .small_street import FORWARD, LEFT, small_street, still_track

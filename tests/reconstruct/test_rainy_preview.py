@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from gsrain_engine.raster.rasterizer import rasterize
-from gsrain_engine.reconstruct.preview_cameras import PreviewCamera, preview_cameras
-from gsrain_engine.reconstruct.rainy_preview import rainy_preview
-from gsrain_engine.reconstruct.recolored_file import read_recolored, write_recolored
+from gsrain_engine.reconstruct.recoloring.preview_cameras import PreviewCamera, preview_cameras
+from gsrain_engine.reconstruct.recoloring.rainy_preview import rainy_preview
+from gsrain_engine.reconstruct.recoloring.recolored_file import read_recolored, write_recolored
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.gaussians import SH_C0

@@ -3,8 +3,8 @@ import numpy as np
 from gsrain_engine.raster.projection import view_directions
 from gsrain_engine.raster.spherical_harmonics import harmonics
 from gsrain_engine.raster.view_weights import view_weights
-from gsrain_engine.reconstruct.recolor import ColorTarget, apply_normal, colors_seen, plain_pull, solve_colors
-from gsrain_engine.reconstruct.recolor_weights import weights_of
+from gsrain_engine.reconstruct.recoloring.solver import ColorTarget, apply_normal, colors_seen, plain_pull, solve_colors
+from gsrain_engine.reconstruct.recoloring.weights import weights_of
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.members import Part

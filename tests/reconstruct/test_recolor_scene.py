@@ -6,8 +6,8 @@ import pytest
 
 from gsrain_engine.evaluate.image_metrics import psnr
 from gsrain_engine.raster.rasterizer import rasterize
-from gsrain_engine.reconstruct.recolor_scene import Recolored, recolor_scene
-from gsrain_engine.reconstruct.recolor_settings import RecolorSettings
+from gsrain_engine.reconstruct.recoloring.recolor_scene import Recolored, recolor_scene
+from gsrain_engine.reconstruct.recoloring.settings import RecolorSettings
 from gsrain_engine.scene.gaussians import SH_C0
 from gsrain_engine.scene.scene import Scene
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.raster.view_weights import view_weights
-from gsrain_engine.reconstruct.recolor_weights import (
+from gsrain_engine.reconstruct.recoloring.weights import (
     LEAST,
     STEP,
     StoredWeights,

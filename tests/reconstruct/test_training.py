@@ -12,11 +12,11 @@ import pytest
 pytest.importorskip("torch")
 
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.reconstruct.checkpoints import CheckpointError
-from gsrain_engine.reconstruct.reconstruction import Reconstruction
-from gsrain_engine.reconstruct.training import reconstruct
-from gsrain_engine.reconstruct.training_settings import TrainingSettings, load_settings
-from gsrain_engine.reconstruct.training_task import ReconstructionTask
+from gsrain_engine.reconstruct.training.checkpoints import CheckpointError
+from gsrain_engine.reconstruct.training.reconstruction import Reconstruction
+from gsrain_engine.reconstruct.training.settings import TrainingSettings, load_settings
+from gsrain_engine.reconstruct.training.task import ReconstructionTask
+from gsrain_engine.reconstruct.training.training import reconstruct
 from gsrain_engine.scene.formats import read_scene
 from gsrain_engine.scene.progress import Progress
 from small_capture import small_capture

@@ -11,17 +11,17 @@ from small_capture import small_capture
 torch = pytest.importorskip("torch")
 
 from gsrain_engine.datasets.capture import Capture, CaptureError, View  # noqa: E402
-from gsrain_engine.raster.rendered import Footprint, Rendered  # noqa: E402
+from gsrain_engine.raster.gradients.rendered import Footprint, Rendered  # noqa: E402
 from gsrain_engine.reconstruct.color_affine import fitted_affine, with_affine  # noqa: E402
-from gsrain_engine.reconstruct.exposure_affine import ExposureAffine  # noqa: E402
-from gsrain_engine.reconstruct.held_out import held_out_indices, score  # noqa: E402
-from gsrain_engine.reconstruct.training_curves import TrainingCurves  # noqa: E402
-from gsrain_engine.reconstruct.training_images import with_images  # noqa: E402
-from gsrain_engine.reconstruct.training_loss import Truth, view_loss  # noqa: E402
-from gsrain_engine.reconstruct.training_model import Picture  # noqa: E402
-from gsrain_engine.reconstruct.training_scene import recorded_path  # noqa: E402
-from gsrain_engine.reconstruct.training_settings import TrainingSettings  # noqa: E402
-from gsrain_engine.reconstruct.training_views import Level, TrainingView, halved  # noqa: E402
+from gsrain_engine.reconstruct.training.curves import TrainingCurves  # noqa: E402
+from gsrain_engine.reconstruct.training.exposure_affine import ExposureAffine  # noqa: E402
+from gsrain_engine.reconstruct.training.held_out import held_out_indices, score  # noqa: E402
+from gsrain_engine.reconstruct.training.images import with_images  # noqa: E402
+from gsrain_engine.reconstruct.training.loss import Truth, view_loss  # noqa: E402
+from gsrain_engine.reconstruct.training.model import Picture  # noqa: E402
+from gsrain_engine.reconstruct.training.settings import TrainingSettings  # noqa: E402
+from gsrain_engine.reconstruct.training.trained_scene import recorded_path  # noqa: E402
+from gsrain_engine.reconstruct.training.views import Level, TrainingView, halved  # noqa: E402
 from gsrain_engine.scene.camera import Camera  # noqa: E402
 
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import View
-from gsrain_engine.reconstruct.schedule import Schedule, camera_extent, view_order
-from gsrain_engine.reconstruct.training_settings import TrainingSettings, help_of, load_settings, settings_names
+from gsrain_engine.reconstruct.training.schedule import Schedule, camera_extent, view_order
+from gsrain_engine.reconstruct.training.settings import TrainingSettings, help_of, load_settings, settings_names
 from gsrain_engine.scene.camera import Camera
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 from imgui_bundle import imgui
 
-from gsrain_engine.reconstruct.training_settings import TrainingSettings, load_settings, settings_names
+from gsrain_engine.reconstruct.training.settings import TrainingSettings, load_settings, settings_names
 from gsrain_engine.session.jobs.recoloring import Recoloring
 from gsrain_engine.session.jobs.reconstruction import Reconstruction
 from gsrain_engine.session.session import Session

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from gsrain_engine.reconstruct.preview_cameras import preview_cameras
-from gsrain_engine.reconstruct.rainy_preview import rainy_preview
-from gsrain_engine.reconstruct.recolored_file import read_recolored
+from gsrain_engine.reconstruct.recoloring.preview_cameras import preview_cameras
+from gsrain_engine.reconstruct.recoloring.rainy_preview import rainy_preview
+from gsrain_engine.reconstruct.recoloring.recolored_file import read_recolored
 from gsrain_engine.scene.formats import read_scene
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene

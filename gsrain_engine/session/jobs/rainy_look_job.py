@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gsrain_engine.reconstruct.recolored_file import read_recolored
+from gsrain_engine.reconstruct.recoloring.recolored_file import read_recolored
 from gsrain_engine.scene.formats.known_files import KnownFiles
 from gsrain_engine.scene.scene import Scene
 

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.evaluate.run_report import write_report
-from gsrain_engine.reconstruct.recolor_run import RecolorOptions, recolor_to_capture
-from gsrain_engine.reconstruct.recolored_file import read_recolored, write_recolored
-from gsrain_engine.reconstruct.training_images import with_images
+from gsrain_engine.evaluate.report.run_report import write_report
+from gsrain_engine.reconstruct.recoloring.recolored_file import read_recolored, write_recolored
+from gsrain_engine.reconstruct.recoloring.run import RecolorOptions, recolor_to_capture
+from gsrain_engine.reconstruct.training.images import with_images
 from gsrain_engine.scene.formats import read_scene
 from gsrain_engine.scene.formats.known_files import KnownFiles
 from gsrain_engine.scene.progress import Progress

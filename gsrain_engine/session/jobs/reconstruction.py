@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from gsrain_engine.reconstruct.training_settings import TrainingSettings
-from gsrain_engine.reconstruct.training_task import ReconstructionTask
+from gsrain_engine.reconstruct.training.settings import TrainingSettings
+from gsrain_engine.reconstruct.training.task import ReconstructionTask
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats import read_scene
 from gsrain_engine.scene.progress import Progress
@@ -60,7 +60,7 @@ class Reconstruction:
 def reconstruct_capture(task: ReconstructionTask) -> Iterator[Progress]:
     """Work of the job, for a process that has torch."""
     try:
-        from gsrain_engine.reconstruct.training import reconstruct
+        from gsrain_engine.reconstruct.training.training import reconstruct
     except ModuleNotFoundError as error:
         if error.name != "torch":
             raise

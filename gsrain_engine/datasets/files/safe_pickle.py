@@ -1,0 +1,101 @@
+"""Reads pickles of plain values and NumPy arrays; one that asks for anything else is refused, and nothing runs."""
+
+import io
+import pickle
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..capture import CaptureError
+
+_MOST_BYTES = 8 << 30
+
+
+def read_pickle(file: Path) -> Any:
+    """Read a pickle of builtin containers, numbers, strings and NumPy arrays; `CaptureError` for any other."""
+    try:
+        if file.stat().st_size > _MOST_BYTES:
+            raise CaptureError(f"{file}: more than {_MOST_BYTES >> 30} GB, which no table of a data set needs")
+        content = file.read_bytes()
+    except OSError as error:
+        raise CaptureError(f"{file}: can't be read ({error})") from None
+    try:
+        return _PlainValues(io.BytesIO(content)).load()
+    except pickle.UnpicklingError as error:
+        raise CaptureError(f"{file}: {error}") from None
+    except RecursionError:
+        raise CaptureError(f"{file}: not a readable pickle (too deep)") from None
+    except Exception as error:  # a damaged pickle fails in as many ways as it has instructions
+        raise CaptureError(f"{file}: not a readable pickle ({type(error).__name__}: {error})") from None
+
+
+class _PlainValues(pickle.Unpickler):
+    """Knows the few names that arrays and containers need, each by a function that checks what it is given."""
+
+    def find_class(self, module: str, name: str, /) -> Any:
+        found = _ALLOWED.get((_OLD_MODULES.get(module, module).replace("numpy._core", "numpy.core"), name))
+        if found is None:
+            raise pickle.UnpicklingError(
+                f"refused, for it asks for {module}.{name}; a table of a data set holds plain values and NumPy arrays"
+            )
+        return found
+
+    def persistent_load(self, pid: Any, /) -> Any:
+        raise pickle.UnpicklingError("refused, for it points to things outside itself")
+
+
+def _dtype(*arguments: Any) -> np.dtype[Any]:
+    kind = np.dtype(*arguments)
+    if kind.hasobject and kind != np.dtype(object):
+        raise pickle.UnpicklingError("refused, for an array in it hides objects among its numbers")
+    return kind
+
+
+def _empty_array(kind: Any, shape: Any, _code: Any) -> np.ndarray:
+    """Stand in for NumPy's own, which would make room for whatever shape it is told."""
+    if kind is not np.ndarray or tuple(shape) != (0,):
+        raise pickle.UnpicklingError("refused, for an array in it is not built as NumPy does")
+    return np.ndarray((0,), np.int8)
+
+
+def _array_of_bytes(content: Any, kind: Any, shape: Any, order: Any, *_: Any) -> np.ndarray:
+    return np.frombuffer(content, _dtype(kind)).reshape(shape, order=order)
+
+
+def _scalar(kind: Any, content: Any = b"") -> Any:
+    if not isinstance(content, bytes) or np.dtype(kind).hasobject or len(content) != np.dtype(kind).itemsize:
+        raise pickle.UnpicklingError("refused, for a number in it is not stored as NumPy does")
+    return np.frombuffer(content, kind)[0]
+
+
+def _latin1(text: Any, encoding: Any = "latin1") -> bytes:
+    """Bytes, as Python 2's protocols write them."""
+    if encoding not in ("latin1", "latin-1"):
+        raise pickle.UnpicklingError(f"refused, for it asks for the encoding {encoding!r}")
+    return str(text).encode("latin1")
+
+
+def _bytes(*content: Any) -> bytes:
+    """Bytes of bytes; a number would mean that many zeros."""
+    if content and not isinstance(content[0], bytes):
+        raise pickle.UnpicklingError("refused, for bytes in it are not stored as Python does")
+    return bytes(content[0]) if content else b""
+
+
+_ALLOWED: dict[tuple[str, str], type | Callable[..., Any]] = {
+    ("numpy", "ndarray"): np.ndarray,
+    ("numpy", "dtype"): _dtype,
+    ("numpy.core.multiarray", "_reconstruct"): _empty_array,
+    ("numpy.core.multiarray", "scalar"): _scalar,
+    ("numpy.core.numeric", "_frombuffer"): _array_of_bytes,
+    ("_codecs", "encode"): _latin1,
+    ("collections", "OrderedDict"): OrderedDict,
+    **{("builtins", kind.__name__): kind for kind in (complex, dict, frozenset, list, set, slice, tuple)},
+    ("builtins", "bytes"): _bytes,
+    ("builtins", "bytearray"): _bytes,
+}
+
+_OLD_MODULES = {"__builtin__": "builtins"}

@@ -1,0 +1,57 @@
+"""What came of a run, as one page that needs nothing beside it: figures, curves, pictures, timings."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from gsrain_engine.render.machine import machine
+from gsrain_engine.scene.atomic_files import whole_file
+
+from .comparison import Comparison
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """A number as it changed over a run."""
+
+    name: str
+    """Such as "loss" or "held-out PSNR"."""
+    steps: Int64[np.ndarray, " n"]
+    values: Float64[np.ndarray, " n"]
+    times_s: Float64[np.ndarray, " n"] | None = None
+    """Since the start."""
+    unit: str = ""
+    is_logarithmic: bool = False
+    """Whether the vertical axis is."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunReport:
+    """Everything that the page of a run shows."""
+
+    title: str
+    settings: Mapping[str, object]
+    """By name with unit, in the order in which they are shown."""
+    curves: tuple[Curve, ...] = ()
+    comparisons: tuple[Comparison, ...] = ()
+    """Views that the run did not learn from."""
+    timings: Mapping[str, float] = field(default_factory=dict[str, float])
+    """Seconds of each part of the run."""
+    headlines: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Figures to show first beside the means over the views, such as {"Gaussians": "212,400"}."""
+    problems: tuple[str, ...] = ()
+    """What was left out of the capture and why."""
+    machine: Mapping[str, object] = field(default_factory=machine)
+    """What it ran on."""
+
+
+def write_report(file: Path, report: RunReport) -> None:
+    """Write a page of HTML with its style, curves and pictures inside; the file appears whole or not at all."""
+    from .page import report_page  # the page needs the types above
+
+    page = report_page(report)
+    with whole_file(file) as beside:
+        beside.write_text(page, encoding="utf-8")

@@ -1,0 +1,67 @@
+"""What is to be reconstructed, and where the result goes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+
+from gsrain_engine.datasets.capture import Capture, CaptureError
+from gsrain_engine.datasets.open_capture import open_capture
+
+from ..beginning.moving_masks import read_camera_masks, with_camera_masks
+from .held_out import held_out_indices
+from .images import with_images
+from .settings import TrainingSettings
+
+
+class ReconstructionTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One order to reconstruct; it survives pickling, for a worker process."""
+
+    capture: Path
+    output: Path
+    """Scene folder."""
+    settings: TrainingSettings
+    images: Path | None = None
+    """Folder with pictures in place of the capture's own."""
+    masks: Path | None = None
+    """Folder with a picture for each camera, named like it: white may be learned from, black (the own bonnet) not."""
+    resume: bool = False
+    """Whether to go on from the checkpoint beside the output."""
+    lpips: Path | None = None
+    """Weights of LPIPS; None takes those of this machine, if any."""
+    report: Path | None = None
+    """HTML file to write."""
+    snapshot: Path | None = None
+    """Scene folder that is written anew at each look at the held-out views, to be looked at meanwhile."""
+
+    @property
+    def checkpoint(self) -> Path:
+        """Where the checkpoints of this task are; removed once the scene is written."""
+        return self.output.with_name(f"{self.output.name}.checkpoint.npz")
+
+    def read(self) -> Capture:
+        """Read the capture; raises `CaptureError`, also where there is nothing to learn from."""
+        capture = open_capture(self.capture)
+        if self.images is not None:
+            capture = with_images(capture, self.images)
+        if self.masks is not None:
+            capture = replace(capture, views=with_camera_masks(capture.views, read_camera_masks(self.masks)))
+        if not capture.has_poses:
+            raise CaptureError(
+                f"{self.capture}: nothing tells where the cameras stood; let COLMAP find it, and give its folder"
+            )
+        if len(capture) < 2:
+            raise CaptureError(f"{self.capture}: has {len(capture)} usable views, at least 2 are needed")
+        self.held_out(capture)
+        return capture
+
+    def held_out(self, capture: Capture) -> list[int]:
+        """Which views of the capture are kept for measuring."""
+        settings = self.settings
+        return held_out_indices([view.name for view in capture], settings.held_out, settings.held_out_views)
+
+    def fingerprint(self, capture: Capture) -> str:
+        """Tell captures apart: a checkpoint goes on with the views that it was made from."""
+        names = [view.name for view in capture]
+        pictures = "" if self.images is None else f", pictures of {self.images.name}"
+        return f"{len(names)} views of {capture.name}, {names[0]} to {names[-1]}{pictures}"
