@@ -41,7 +41,10 @@ def run_window(begin: "Callable[[], Session]", backend: "WindowBackend" = "auto"
     with own_layout() as layout:
         parameters.ini_folder_type = hello_imgui.IniFolderType.absolute_path
         parameters.ini_filename = str(layout)
-        immapp.run(parameters, immapp.AddOnsParams(with_implot=False))
+        try:
+            immapp.run(parameters, immapp.AddOnsParams(with_implot=False))
+        finally:
+            window.close()  # workers end, whatever has ended the window
     if window.failure is not None:
         raise window.failure
 
@@ -103,6 +106,13 @@ class Window:
             glfw.set_window_should_close(glfw_utils.glfw_window_hello_imgui(), False)
             self.workspace.session.leave()
 
+    def close(self) -> None:
+        """Stop everything behind the window. To be called once more does nothing."""
+        if self._loader.is_alive():
+            self._loader.join()
+        if self._session is not None:
+            self._session.close()
+
     def _start(self) -> None:
         """Share the window's OpenGL context, make room for plots, take in dropped files, begin to load."""
         implot.create_context()
@@ -149,9 +159,7 @@ class Window:
         imgui.progress_bar(-imgui.get_time(), ImVec2(280, 0), "loading")
 
     def _end(self) -> None:
-        self._loader.join()
-        if self._session is not None:
-            self._session.close()
+        self.close()
         implot.destroy_context()
 
 

@@ -84,6 +84,30 @@ def street(*, mesh: bool = False) -> tuple[Scene, list[TargetView], list[TargetV
     return scene, taught, held_out
 
 
+def transferred(scene_path: Path, capture_path: Path) -> tuple[Scene, list[TargetView], list[TargetView]]:
+    """Return a reconstructed scene and its photographs in a plain wet look; every seventh is kept apart."""
+    from gsrain_engine.appearance.wet_preview import wet_preview
+    from gsrain_engine.datasets.open_capture import open_capture
+    from gsrain_engine.raster.rasterizer import expected
+    from gsrain_engine.reconstruct.recoloring.ground_height import ground_height_m
+    from gsrain_engine.reconstruct.recoloring.scene_members import scene_members
+    from gsrain_engine.reconstruct.recoloring.views import seen_view, target_views, upness
+    from gsrain_engine.scene.formats import read_scene
+
+    scene = replace(read_scene(scene_path), actors=())
+    ground_m, members = ground_height_m(scene), scene_members(scene)
+    views: list[TargetView] = []
+    for target in target_views(scene, open_capture(capture_path), SIZE[0]):
+        seen = seen_view(scene, members, target, ground_m)
+        sky = expected(np.ascontiguousarray(seen.surfaces[..., 0]), seen.alpha)
+        up = upness(seen.depth, target.camera)
+        wet = wet_preview(target.image, seen.depth, up, sky, target.camera, ground_m=ground_m)
+        views.append(replace(target, image=wet))
+    kept = set(range(3, len(views), 7))
+    taught, held_out = ([view for i, view in enumerate(views) if (i in kept) == out] for out in (False, True))
+    return scene, taught, held_out
+
+
 def held_out_psnr(problem: ColorProblem, sh: np.ndarray) -> float:
     """Mean over held-out views, as renderers show them."""
     return float(np.mean([psnr(v.shown(sh), v.seen.target.image, v.seen.counted) for v in problem.held_out]))
@@ -146,9 +170,10 @@ def adam(scene: Scene, setup: SetUp, rate: float, steps: int, *, mapped: bool = 
     for step, chosen in enumerate(turns[:steps].tolist()):
         sh = torch.cat([dc, rest], dim=1) * free
         rendered = render_gaussians(means, scales, quaternions, opacities, sh, views[chosen].seen.target.camera)
+        shown = torch.from_numpy(views[chosen].seen.counted)[..., None]  # not what is masked
         wanted = images[chosen] * rendered.alpha.detach()[..., None]
         optimizer.zero_grad()
-        ((rendered.color - wanted) ** 2).mean().backward()
+        ((rendered.color - wanted) ** 2 * shown).mean().backward()
         optimizer.step()
         schedule.step()
         if step % 50 == 49 or step in (0, 4, 9, 24):
@@ -186,6 +211,8 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1000, help="of Adam")
     parser.add_argument("--rates", default=",".join(str(rate) for rate in RATES), help="of Adam, with commas between")
     parser.add_argument("--mesh", action="store_true", help="photographs of the mesh instead of renders")
+    parser.add_argument("--scene", type=Path, help="a reconstructed scene in place of the street")
+    parser.add_argument("--capture", type=Path, help="what that was made from; its pictures get a plain wet look")
     parser.add_argument("--figure", type=Path, help="PNG to draw")
     arguments = parser.parse_args()
     import numba
@@ -193,7 +220,10 @@ def main() -> None:
 
     numba.set_num_threads(1)
     torch.set_num_threads(1)
-    scene, targets, held_out = street(mesh=arguments.mesh)
+    if arguments.scene is not None and arguments.capture is not None:
+        scene, targets, held_out = transferred(arguments.scene, arguments.capture)
+    else:
+        scene, targets, held_out = street(mesh=arguments.mesh)
     for settings in (RecolorSettings(), PLAIN):
         solved(scene, targets[:2], held_out[:1], settings)  # kernels compile
     curves: dict[str, Curve] = {}

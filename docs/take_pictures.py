@@ -11,6 +11,7 @@ from imgui_bundle import hello_imgui, imgui
 from imgui_bundle.immapp import testing
 from PIL import Image
 
+from app.commands.street import street
 from app.window import Window
 from gsrain_engine.kernel_cache import use_kernel_cache
 from gsrain_engine.rain.weather import passing_shower
@@ -168,13 +169,53 @@ def picture_pages(camera: Photographer) -> None:
     session.prefer(theme="dark")
 
 
+def picture_wet(camera: Photographer) -> None:
+    """The street clear; at 12 mm/h in its wet colours; without them, undone; and with them again."""
+    session = camera.session
+    camera.ctx.window_focus("//View")
+    camera.take("wet_clear", "View", _TOOL_WIDTH)
+    session.set_rain("12 mm/h", msgspec.structs.replace(session.rain, intensity_mm_h=12.0))
+    make_rainy_look(session)
+    while session.running_jobs or session.staged is not None:
+        camera.frames(1)
+    camera.frames(20)
+    camera.take("wet_rainy", "View", _TOOL_WIDTH)
+    session.undo()
+    camera.take("wet_undone", "View", _TOOL_WIDTH)
+    session.redo()
+    camera.take("wet_redone", "View", _TOOL_WIDTH)
+
+
+def picture_capture(camera: Photographer) -> None:
+    """The street's own photographs beside its Gaussians, from where one of them was taken."""
+    session, captures = camera.session, camera.session.captures
+    with tempfile.TemporaryDirectory() as folder:
+        street(Path(folder), moments=6, width=480)
+        captures.open(Path(folder) / "images")
+        while captures.capture is None or captures.is_working:
+            camera.frames(1)
+        captures.look_from(session, 3)
+        camera.ctx.window_focus("//Capture")
+        while captures.is_working:
+            camera.frames(1)
+        camera.frames(20)
+        camera.take("capture")
+        captures.close_capture()
+
+
 def _file_name(title: str) -> str:
     return title.lower().replace(" ", "_").replace("-", "_")
 
 
 def main() -> None:
-    """Take all pictures, or those of the groups that are named: panels, tools, pages."""
-    groups = {"panels": picture_panels, "tools": picture_tools, "pages": picture_pages}
+    """Take all pictures, or those of the groups that are named: panels, tools, pages, wet, capture."""
+    groups = {
+        "panels": picture_panels,
+        "tools": picture_tools,
+        "pages": picture_pages,
+        "wet": picture_wet,
+        "capture": picture_capture,
+    }
     wanted = sys.argv[1:] or list(groups)
     use_kernel_cache()
     with tempfile.TemporaryDirectory() as folder:

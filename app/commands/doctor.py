@@ -2,6 +2,7 @@
 
 import importlib.util
 from collections.abc import Callable
+from importlib import metadata
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,16 @@ class Finding(NamedTuple):
 def doctor(*, json: JsonFile = None) -> int:
     """Look for everything that GSRAIN can use. Exit code 1 when something that it needs is missing."""
     needed = [_opengl(), _video(), _threads()]
-    optional = [_osmesa(), _display(), _module("torch", "heavy jobs", "jobs"), _cuda(), _gsplat(), _lpips()]
+    optional = [
+        _osmesa(),
+        _display(),
+        _package("torch", "gsrain reconstruct, and --polish and --refine of gsrain recolor", "jobs"),
+        _cuda(),
+        _gsplat(),
+        find_lpips(),
+        _package("pyarrow", "Waymo Perception v2 (Parquet tables)", "waymo"),
+        _package("protobuf", "Waymo Perception v1 (TFRecord files)", "waymo"),
+    ]
     for finding in (*needed, *optional):
         mark = "ok     " if finding.found else ("MISSING" if finding in needed else "absent ")
         print(f"{mark} {finding.name}: {finding.what}")
@@ -93,10 +103,12 @@ def _display() -> Finding:
     return Finding("display", False, "no DISPLAY: rendering to files works, the window does not")
 
 
-def _module(name: str, purpose: str, extra: str) -> Finding:
-    found = importlib.util.find_spec(name) is not None
-    missing = f"not installed; {purpose} need it: pip install gsrain[{extra}]"
-    return Finding(name, found, f"for {purpose}" if found else missing)
+def _package(name: str, purpose: str, extra: str) -> Finding:
+    """Look for a package of an extra, by the name that pip knows it by."""
+    try:
+        return Finding(name, True, f"{metadata.version(name)}, for {purpose}")
+    except metadata.PackageNotFoundError:
+        return Finding(name, False, f"not installed; for {purpose}: pip install 'gsrain[{extra}]'")
 
 
 def _cuda() -> Finding:
@@ -122,22 +134,22 @@ def _gsplat() -> Finding:
         with open_renderer("cuda") as renderer:
             return f"--backend cuda draws on {device_of(renderer)}"
 
-    return _tried("gsplat (draws on GPUs without a graphics pipeline)", device, "")
+    return _tried("gsplat (draws and trains on CUDA GPUs)", device, "")
 
 
-def _lpips() -> Finding:
-    def networks() -> str:
-        from gsrain_engine.evaluate.lpips_weights import find_lpips_weights
+def find_lpips() -> Finding:
+    """Look for weights of LPIPS; they are read, for a file may be damaged or hold something else."""
+    name = "LPIPS weights (a quality measure of reports)"
+    from gsrain_engine.evaluate.lpips_weights import find_lpips_weights, lpips_places
 
-        found: list[str] = []
-        for network, name in (("vgg", "VGG16"), ("alex", "AlexNet")):
-            try:
-                find_lpips_weights(network)
-                found.append(name)
-            except FileNotFoundError as error:
-                trouble = error
-        if not found:
-            raise trouble
-        return " and ".join(found)
-
-    return _tried("LPIPS weights (a quality measure of reports)", networks, "")
+    places = ", ".join(map(str, lpips_places()))
+    try:
+        find_lpips_weights("vgg")
+        return Finding(name, True, f"VGG16 at {places}")
+    except FileNotFoundError as error:
+        missing = str(error)
+    try:
+        find_lpips_weights("alex")
+    except FileNotFoundError:
+        return Finding(name, False, missing)
+    return Finding(name, False, f"only AlexNet at {places}, used where --lpips names its file; {missing}")

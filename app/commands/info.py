@@ -36,6 +36,8 @@ def info(
         return
     if check or overlay is not None:
         raise ValueError(f"{scene}: --check and --overlay are for captures, and this is none that is known")
+    if not _is_scene(scene) and Path(scene).is_dir():
+        raise ValueError(f"{scene}: neither a scene (scene.json, or meta.json of SOG) nor a capture that is known")
     opened = open_scene(scene)
     rows = [_member(each) for each in opened.members]
     numbers = {

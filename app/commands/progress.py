@@ -2,9 +2,14 @@
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from typing import TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from gsrain_engine.scene.progress import Progress as Step
+
+_Result = TypeVar("_Result")
 
 
 @contextmanager
@@ -18,3 +23,23 @@ def progress_bar(title: str, total: float) -> Generator[Callable[..., None]]:
             bar.advance(task, done)
 
         yield advance
+
+
+def followed(work: Generator[Step, None, _Result]) -> _Result:
+    """Do a piece of work, show how far it is and what it does, and return what comes out."""
+    columns = [
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TextColumn("ETA"),
+        TimeRemainingColumn(),
+    ]
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        shown = bar.add_task("Reading", total=1.0)
+        while True:
+            try:
+                step = next(work)
+            except StopIteration as end:
+                return end.value
+            bar.update(shown, completed=step.fraction, description=step.message)

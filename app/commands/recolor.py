@@ -1,13 +1,11 @@
 """`gsrain recolor SCENE --images DIR -o SCENE`: a scene takes on the look of pictures."""
 
-from collections.abc import Generator
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 from cyclopts import Parameter
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from gsrain_engine.datasets.capture import Capture
@@ -15,11 +13,12 @@ from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.evaluate.report.run_report import write_report
 from gsrain_engine.reconstruct.recoloring.settings import RecolorSettings
 from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.scene.formats.scene_files import names_scene_folder
-from gsrain_engine.scene.progress import Progress as Step
 from gsrain_engine.session.files.open_scene import open_scene
+from gsrain_engine.session.jobs.torch_extra import require_torch
 
 from .arguments import JsonFile, write_numbers
+from .outputs import check_scene_folder, check_writable, report_beside
+from .progress import followed
 
 _COLUMNS = 110
 _REFINE_STEPS = 300
@@ -48,7 +47,9 @@ def recolor(
     exposure: Annotated[bool, Parameter(help="Whether each picture has an exposure of its own.")] = True,
     robust: Annotated[bool, Parameter(help="Whether pictures that disagree with the others count less.")] = True,
     memory: Annotated[float, Parameter(help="Room for stored weights in MB; views beyond it take longer.")] = 4096.0,
-    report: Annotated[Path | None, Parameter(help="HTML report of the run.")] = None,
+    report: Annotated[
+        Path | None, Parameter(help="HTML report of the run; default: beside SCENE, as SCENE.report.html.")
+    ] = None,
     json: JsonFile = None,
 ) -> None:
     """Solve a scene's colours for pictures; its geometry stays. The clear colours stay too, unless replaced."""
@@ -60,24 +61,21 @@ def recolor(
         },
         replace_clear=replace,
     )  # fmt: skip
-    _check_output(output)
+    check_scene_folder(output)
+    page = report_beside(output, report)
+    check_writable(page, json)
+    if polish or refine:
+        require_torch("--polish" if polish else "--refine")
     pictures = _pictures(images, capture)
-    # Kernels and torch take a second or two to load: only now, that there is something to do.
+    # Kernels take a second to load: only now, that there is something to do.
     from gsrain_engine.reconstruct.recoloring.run import recolor_to_capture
 
-    try:
-        run = _followed(recolor_to_capture(open_scene(scene), pictures, options))
-    except ModuleNotFoundError as error:
-        if error.name != "torch":
-            raise
-        raise ValueError("--polish and --refine need torch: pip install 'gsrain[jobs]'") from None
+    run = followed(recolor_to_capture(open_scene(scene), pictures, options))
     write_scene(run.scene, output)
     _print(run, pictures)
     print(f"{output}: {run.scene.gaussian_count:,} Gaussians, {'new' if replace else 'clear and wet'} colours")
-    if report is not None:
-        report.parent.mkdir(parents=True, exist_ok=True)
-        write_report(report, run.report)
-        print(report)
+    write_report(page, run.report)
+    print(page)
     write_numbers(json, run.numbers)
 
 
@@ -92,36 +90,12 @@ def _options(options: dict[str, Any], colors: dict[str, Any], *, replace_clear: 
         raise ValueError(f"--{option}: {error}") from None
 
 
-def _check_output(output: Path) -> None:
-    """Refuse at once what could not be written after the work."""
-    if not names_scene_folder(output):
-        raise ValueError(f"{output}: expected a scene folder: single files hold one set of colours only")
-    if output.is_file() or (output.is_dir() and any(output.iterdir()) and not (output / "scene.json").is_file()):
-        raise ValueError(f"{output}: expected a new folder, or a scene folder to replace")
-
-
 def _pictures(images: Path, capture: Path | None) -> Capture:
     if capture is None:
         return open_capture(images)
     from gsrain_engine.reconstruct.training.images import with_images
 
     return with_images(open_capture(capture), images)
-
-
-def _followed(work: Generator[Step, None, Any]) -> Any:
-    """Show progress until the work is done, and return what came out."""
-    columns = [TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("ETA")]
-    console = Console(stderr=True)
-    with Progress(
-        *columns, TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
-        shown = bar.add_task("Reading", total=1.0)
-        while True:
-            try:
-                step = next(work)
-            except StopIteration as end:
-                return end.value
-            bar.update(shown, completed=step.fraction, description=step.message)
 
 
 def _print(run: Any, pictures: Capture) -> None:

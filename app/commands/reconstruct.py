@@ -1,19 +1,19 @@
 """`gsrain reconstruct CAPTURE -o SCENE`: images, with lidar or COLMAP points, become Gaussians."""
 
-from collections.abc import Generator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
 from cyclopts import Parameter
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from gsrain_engine.reconstruct.training.settings import TrainingSettings, help_of, load_settings, settings_names
-from gsrain_engine.scene.progress import Progress as Step
+from gsrain_engine.session.jobs.torch_extra import require_torch
 
 from .arguments import JsonFile, write_numbers
+from .outputs import check_scene_folder, check_writable, report_beside
+from .progress import followed
 
 _COLUMNS = 110
 
@@ -53,22 +53,20 @@ def reconstruct(
         config, steps=steps, width_px=width, gaussians=gaussians, density=density, sh_degree=sh_degree, seed=seed,
         device=device, **_kept_apart(held_out),
     )  # fmt: skip
-    _check_output(output)
-    # torch is an extra, and takes two seconds: only now, that there is something to do.
-    try:
-        from gsrain_engine.reconstruct.training.task import ReconstructionTask
-        from gsrain_engine.reconstruct.training.training import reconstruct as work
-    except ModuleNotFoundError as error:
-        if error.name != "torch":
-            raise
-        raise ValueError("gsrain reconstruct needs torch: pip install 'gsrain[jobs]'") from None
-    page = report or output.with_name(f"{output.name}.report.html")
+    check_scene_folder(output)
+    page = report_beside(output, report)
+    check_writable(page, json)
+    require_torch("gsrain reconstruct")
+    # torch takes two seconds to load: only now, that there is something to do.
+    from gsrain_engine.reconstruct.training.task import ReconstructionTask
+    from gsrain_engine.reconstruct.training.training import reconstruct as work
+
     task = ReconstructionTask(
         capture=capture, output=output, settings=settings, images=images, masks=masks, resume=resume, lpips=lpips,
         report=page,
     )  # fmt: skip
     try:
-        result = _followed(work(task))
+        result = followed(work(task))
     except KeyboardInterrupt:
         if task.checkpoint.is_file():
             print(f"stopped; go on with: gsrain reconstruct {capture} -o {output} --resume (and the same options)")
@@ -95,28 +93,6 @@ def _kept_apart(text: str | None) -> dict[str, Any]:
     if text.isdecimal():
         return {"held_out": int(text), "held_out_views": ()}
     return {"held_out_views": tuple(name.strip() for name in text.split(",") if name.strip())}
-
-
-def _check_output(output: Path) -> None:
-    """Refuse at once what could not be written after an hour's work."""
-    if output.is_file() or (output.is_dir() and any(output.iterdir()) and not (output / "scene.json").is_file()):
-        raise ValueError(f"{output}: expected a new folder, or a scene folder to replace")
-
-
-def _followed(work: Generator[Step, None, Any]) -> Any:
-    """Show progress until the work is done, and return what came out."""
-    columns = [TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("ETA")]
-    console = Console(stderr=True)
-    with Progress(
-        *columns, TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
-        shown = bar.add_task("Reading", total=1.0)
-        while True:
-            try:
-                step = next(work)
-            except StopIteration as end:
-                return end.value
-            bar.update(shown, completed=step.fraction, description=step.message)
 
 
 def _print(result: Any, output: Path) -> None:

@@ -79,6 +79,8 @@ def capture_format(path: Path | str) -> CaptureFormat | None:
 
 
 def _why_not(path: Path) -> str:
+    if path == Path("street") and not path.exists():
+        return "no such file or folder; gsrain street DIR writes pictures of the built-in street, and DIR is a capture"
     if not path.exists():
         beside = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
         close = difflib.get_close_matches(path.name, beside, n=1)

@@ -13,7 +13,7 @@ import numpy as np
 import platformdirs
 from jaxtyping import Float32
 
-from .array_pickle import read_array_pickle
+from gsrain_engine.datasets.files.safe_pickle import read_pickle
 
 PLACE = "GSRAIN_LPIPS_WEIGHTS"
 """Environment variable with a file of weights, or a folder of such files."""
@@ -140,7 +140,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
     if path.suffix == ".safetensors":
         return _safetensors(path)
     if path.suffix == ".ckpt":
-        return dict(_flat(read_array_pickle(path)))
+        return dict(_flat(read_pickle(path)))
     return _torch_state(path)
 
 
@@ -156,7 +156,10 @@ def _safetensors(path: Path) -> dict[str, np.ndarray]:
 
 
 def _torch_state(path: Path) -> dict[str, np.ndarray]:
-    torch: Any = import_module("torch")
+    try:
+        torch: Any = import_module("torch")
+    except ModuleNotFoundError as error:
+        raise ValueError(f"{path}: reading it takes torch: pip install 'gsrain[jobs]'") from error
     try:
         state: Mapping[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         return {name: tensor.float().numpy() for name, tensor in state.items()}

@@ -28,7 +28,7 @@ def open_cuda_renderer() -> "CudaRenderer":
     """
     for name in _NEEDED:
         if importlib.util.find_spec(name) is None:
-            raise NoCudaError(f"the cuda back end needs {name}, which is not installed: pip install gsrain[cuda]")
+            raise NoCudaError(f"the cuda back end needs {name}, which is not installed: pip install 'gsrain[cuda]'")
     torch: Any = import_module("torch")
     if not torch.cuda.is_available():
         raise NoCudaError("the cuda back end needs an NVIDIA GPU, and torch sees none: use --backend cpu or opengl")

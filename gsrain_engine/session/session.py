@@ -262,7 +262,8 @@ class Session(EditedDocument):
         for job in self.running_jobs:
             job.poll(self)
             if job.error is not None:
-                logger.error("%s failed: %s", job.title, job.error)
+                self.problem = f"{job.title} failed: {job.error}"
+                logger.error("%s", self.problem)
 
     @property
     def wetness_now(self) -> float:

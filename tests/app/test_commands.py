@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from importlib.util import find_spec
 
 import av
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from PIL import Image
 
 from app.command_line import BAD_INPUT, run
+from app.commands import doctor
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
@@ -172,7 +174,28 @@ def test_street_writes_scene_and_photographs(tmp_path, capsys):
 def test_doctor_finds_what_it_needs(tmp_path, capsys):
     numbers = tmp_path / "doctor.json"
     assert run(["doctor", "--json", str(numbers)]) == 0
-    assert "libx264" in json.loads(numbers.read_text())["video"]["what"]
+    found = json.loads(numbers.read_text())
+    assert "libx264" in found["video"]["what"]
+    for package, module, extra in (
+        ("torch", "torch", "jobs"),
+        ("pyarrow", "pyarrow", "waymo"),
+        ("protobuf", "google.protobuf", "waymo"),
+    ):
+        is_there = find_spec(module.partition(".")[0]) is not None and find_spec(module) is not None
+        assert found[package]["found"] == is_there
+        assert is_there or f"pip install 'gsrain[{extra}]'" in found[package]["what"]
+
+
+def test_doctor_tells_which_lpips_weights_are_of_use(tmp_path, monkeypatch):
+    pytest.importorskip("torch")
+    from evaluate.random_lpips import random_weights
+
+    monkeypatch.setenv("GSRAIN_LPIPS_WEIGHTS", str(tmp_path))
+    assert "no weights of LPIPS (vgg)" in doctor.find_lpips().what
+    random_weights("alex").write(tmp_path / "small.npz")
+    only = doctor.find_lpips()
+    assert not only.found  # what gsrain reconstruct takes by itself is VGG16
+    assert "only AlexNet" in only.what
 
 
 @pytest.mark.parametrize(

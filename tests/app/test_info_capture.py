@@ -76,7 +76,7 @@ def test_real_drive_is_described_and_checked(
     ("arguments", "told"),
     [
         (["{tmp}/gardn"], "gardn"),
-        (["{tmp}/empty"], "empty"),
+        (["{tmp}/empty"], "empty: neither a scene (scene.json, or meta.json of SOG) nor a capture that is known"),
         (["street", "--check"], "--check and --overlay are for captures"),
         (["{tmp}/broken"], "transforms.json: not a JSON file"),
     ],

@@ -8,6 +8,7 @@ from app.command_line import run
 from gsrain_engine.datasets.capture import View
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.scene.formats import read_scene, write_scene
+from gsrain_engine.session.jobs import torch_extra
 from tests.reconstruct.changed_street import street_and_pictures
 
 
@@ -50,6 +51,7 @@ def test_pictures_without_cameras_are_matched_by_name_and_can_replace_the_clear_
     command = ["recolor", str(files / "clear"), "--images", str(files / "images"), "--capture", str(files / "capture")]
     assert run([*command, "-o", str(new), "--replace", "--held-out", "0", "--iterations", "4"]) == 0
     assert "'v5' for one" in capsys.readouterr().out
+    assert "<svg" in (tmp_path / "new.report.html").read_text(encoding="utf-8")
     clear, scene = read_scene(files / "clear"), read_scene(new)
     assert scene.member("layers/street").wet_sh is None
     assert np.abs(scene.member("layers/street").gaussians.sh - clear.member("layers/street").gaussians.sh).max() > 0.1
@@ -66,10 +68,14 @@ def test_pictures_without_cameras_are_matched_by_name_and_can_replace_the_clear_
         ({"-o": "scene.ply"}, "expected a scene folder"),
         ({"-o": "capture"}, "expected a new folder"),
         ({"--held-out": "1"}, "would be held out"),
+        ({"-o": "clear/scene.json/out"}, "scene.json is a file"),
+        ({"--report": "clear/scene.json/out"}, "scene.json is a file"),
+        ({"--polish": "5"}, "--polish needs torch, which is not installed: pip install 'gsrain[jobs]'"),
     ],
 )
 def test_bad_input_ends_in_one_line(files, capsys, monkeypatch, changes, expected):
     monkeypatch.chdir(files)
+    monkeypatch.setattr(torch_extra, "has_torch", lambda: False)
     options = {"--images": "capture", "-o": "out"} | changes
     assert run(["recolor", "clear", *(word for pair in options.items() for word in pair)]) == 2
     message = capsys.readouterr().err

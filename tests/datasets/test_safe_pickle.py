@@ -78,6 +78,41 @@ def test_an_array_that_lies_about_its_size_takes_no_memory(tmp_path: Path) -> No
             read_pickle(_written(tmp_path, pickle.dumps(_Asks(reconstruct, np.ndarray, shape, b"b"))))
 
 
+class _Forged:
+    """Unpickles to what a function makes, with a state of its own."""
+
+    def __init__(self, function: Any, arguments: tuple[Any, ...], state: tuple[Any, ...]) -> None:
+        self.reduced = (function, arguments, state)
+
+    def __reduce__(self) -> Any:
+        return self.reduced
+
+
+def _array_of(kind: Any, content: Any) -> _Forged:
+    return _Forged(np.zeros(1).__reduce__()[0], (np.ndarray, (0,), b"b"), (1, (1,), kind, False, content))
+
+
+@pytest.mark.parametrize(
+    ("code", "state"),
+    [
+        ("V8", (3, "|", None, ("a",), {"a": (np.dtype("f8"), 10**6)}, 8, 1, 0)),  # a field outside of the array
+        ("V8", (3, "|", None, ("a",), {"a": (np.dtype("O"), 0)}, 8, 1, 0)),  # numbers taken for objects
+        ("V8", (3, "|", (np.dtype("f8"), (1000,)), None, None, 8, 1, 0)),
+        ("O", (3, "|", None, None, None, -1, -1, 0)),
+        ("f8", (3, "<", None, None, None, -1, -1, 63)),
+    ],
+)
+def test_a_type_that_lies_about_memory_is_refused(tmp_path: Path, code: str, state: tuple[Any, ...]) -> None:
+    kind = _Forged(np.dtype, (code, False, True), state)
+    for forged in (
+        _array_of(kind, b"A" * 8),
+        _Asks(np.float64(1).__reduce__()[0], kind, b"A" * 8),
+        _Asks(np.ndarray, (1,), kind),
+    ):
+        with pytest.raises(CaptureError, match=r"table\.pkl: refused, for an array in it"):
+            read_pickle(_written(tmp_path, pickle.dumps(forged)))
+
+
 def test_a_cut_pickle_is_named(tmp_path: Path) -> None:
     content = pickle.dumps({"array": np.arange(50), "name": "x" * 40})
     for length in range(0, len(content) - 1, 7):

@@ -12,6 +12,7 @@ from colmap_files import write_binary, write_pictures
 from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.datasets.geometry.lens_projection import project_points
 from gsrain_engine.datasets.open_capture import FORMATS, capture_format, open_capture
+from gsrain_engine.datasets.rainsense.sequence import read_rain_sequence
 from gsrain_engine.datasets.readable_pictures import readable_pictures
 
 
@@ -82,6 +83,8 @@ def test_what_is_no_capture_is_refused_in_one_sentence(tmp_path: Path) -> None:
     write_pictures(tmp_path / "garden")
     with pytest.raises(CaptureError, match="gardem: no such file or folder; did you mean garden?"):
         open_capture(tmp_path / "gardem")
+    with pytest.raises(CaptureError, match="street: no such file or folder; gsrain street DIR writes pictures"):
+        open_capture("street")
     (tmp_path / "empty").mkdir()
     with pytest.raises(CaptureError, match="empty: not a capture that is known; expected one of capture folder, "):
         open_capture(tmp_path / "empty")
@@ -127,6 +130,7 @@ def test_real_rainsense_sequence_has_lidar_and_boxes(test_data: Path) -> None:
     (view,) = capture
     assert view.attributes == {"rain_mm_h": "0"}
     assert view.lens is not None
+    assert view.camera.to_json() == read_rain_sequence(folder).camera.to_json()
     assert len(capture.sweeps[0].points_m) == 17700
     assert "holds no exact rotation (it stretches by 2.5%)" in capture.problems[0]
     # What the lidar sees close by is the road below the camera, which stands 1.5 m above it (as assumed).

@@ -1,6 +1,9 @@
 """From a capture to Gaussians, and from pictures to their colours, in the real window."""
 
+from multiprocessing.shared_memory import SharedMemory
+
 import numpy as np
+import psutil
 import pytest
 from PIL import Image
 
@@ -40,7 +43,7 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
     shots = drive / "shots"
     shots.mkdir()
     monkeypatch.setenv("XDG_DATA_HOME", str(drive / "data"))
-    settings = reconstruct_fields.load_settings("draft", steps=60, width_px=96, gaussians=3000, measured_every=20)
+    settings = reconstruct_fields.load_settings("draft", steps=40, width_px=96, gaussians=3000, measured_every=20)
     monkeypatch.setattr(reconstruct_fields._chosen, "settings", settings)
     driver = Driver(shots)
     session = driver.session
@@ -94,5 +97,55 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
         driver.press(REDO)
         driver.press(REDO)
         assert np.array_equal(driver.picture(), wet)
+
+    driver.run(script)
+
+
+def test_closing_the_window_ends_the_training(drive, monkeypatch):
+    shots = drive / "shots"
+    shots.mkdir()
+    monkeypatch.setenv("XDG_DATA_HOME", str(drive / "data"))
+    settings = reconstruct_fields.load_settings("draft", steps=100_000, width_px=96, gaussians=3000)
+    monkeypatch.setattr(reconstruct_fields._chosen, "settings", settings)
+    driver = Driver(shots)
+    session = driver.session
+    trains = []
+
+    def script():
+        session.captures.open(drive / "drive")
+        driver.until(lambda: session.captures.capture is not None)
+        driver.ctx.window_focus("//Capture")
+        driver.ctx.item_open("//Capture/Reconstruct")
+        driver.frames()
+        driver.ctx.item_click("//Capture/Reconstruct/Reconstruct")
+        driver.frames()
+        (job,) = session.jobs
+        driver.until(lambda: job.state != "running" or job.progress.message.startswith("Step"), 1_000_000)
+        trains.extend([job._worker._process.pid, job._folder._path, job._worker._picture.name])
+
+        # Where it was started there is how far it is, and nothing else can be started.
+        assert driver.ctx.item_exists("//Capture/Reconstruct/Cancel##0")
+        assert not driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
+
+    driver.run(script)
+    process, folder, picture = trains
+    assert not psutil.pid_exists(process)
+    assert not folder.exists()
+    with pytest.raises(FileNotFoundError):
+        SharedMemory(picture)
+
+
+def test_without_torch_the_panel_says_so(drive, monkeypatch):
+    monkeypatch.setattr(reconstruct_fields, "has_torch", lambda: False)
+    driver = Driver(drive)
+
+    def script():
+        driver.session.captures.open(drive / "drive")
+        driver.until(lambda: driver.session.captures.capture is not None)
+        driver.ctx.window_focus("//Capture")
+        driver.ctx.item_open("//Capture/Reconstruct")
+        driver.frames()
+        assert not driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
+        assert driver.ctx.item_exists("//Capture/Reconstruct/Recolour to these pictures")
 
     driver.run(script)

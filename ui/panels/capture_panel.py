@@ -50,9 +50,13 @@ def _head(session: Session, capture: Capture) -> None:
     captures = session.captures
     close = f"{_ICONS.ICON_FA_XMARK}###close capture"
     width = imgui.calc_text_size(_ICONS.ICON_FA_XMARK).x + 2 * imgui.get_style().frame_padding.x
+    at, room = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail().x - width
+    # The names of some drives are longer than the panel is wide: they end at the button.
+    imgui.push_clip_rect(at, ImVec2(at.x + room, at.y + imgui.get_frame_height()), True)
     imgui.align_text_to_frame_padding()
     imgui.text(capture.name)
-    imgui.set_item_tooltip(str(captures.path))
+    imgui.pop_clip_rect()
+    imgui.set_item_tooltip(f"{capture.name}\n{captures.path}")
     imgui.same_line(imgui.get_cursor_pos_x() + imgui.get_content_region_avail().x - width)
     if imgui.button(close):
         captures.close_capture()

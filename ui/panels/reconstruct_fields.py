@@ -11,10 +11,13 @@ from imgui_bundle import imgui
 from gsrain_engine.reconstruct.training.settings import TrainingSettings, load_settings, settings_names
 from gsrain_engine.session.jobs.recoloring import Recoloring
 from gsrain_engine.session.jobs.reconstruction import Reconstruction
+from gsrain_engine.session.jobs.scene_job import SceneJob
+from gsrain_engine.session.jobs.torch_extra import HOW_TO_GET_TORCH, has_torch
 from gsrain_engine.session.session import Session
 
 from ..pages.file_dialogs import ask_what_to_open
 from ..widgets.fields import field_info, plain_label
+from .job_fields import job_fields
 
 
 @dataclass(slots=True)
@@ -33,46 +36,82 @@ _PRESETS = {
 }
 _NUMBERS = {"steps": 50, "width_px": 16, "gaussians": 5000, "held_out": 1}
 """Whole numbers that are shown, each with the step of its buttons."""
+_RECONSTRUCT_HELP = (
+    "Fit Gaussians to the capture in the background. Snapshots come into the view meanwhile;\n"
+    "undo brings the present scene back. A report shows the held-out views."
+)
+_RECOLOR_HELP = (
+    "Solve for wet colours in which the present scene looks like the capture's pictures; its cameras\n"
+    "must be in the scene's axes. The clear colours stay; one step, undo takes it back."
+)
+_RECOLOR_OTHERS_HELP = "The same with pictures from a folder, such as transferred ones, named like the capture's own."
 
 
 def reconstruct_fields(session: Session) -> None:
-    """Choose settings, start."""
+    """Choose settings, start, and follow what was started."""
     captures = session.captures
+    if captures.capture is None or captures.path is None:
+        return
+    if not captures.capture.has_poses:
+        imgui.text_wrapped("Nothing tells where the cameras stood: let COLMAP find it, and open its folder.")
+        return
+    newest = _newest(session)
+    if newest is not None and newest[1].state == "running":
+        job_fields(session, newest[1], newest[0])
+        return
+    why_not = _why_not(session)
+    if has_torch():
+        _settings()
+        if _button("Reconstruct", _RECONSTRUCT_HELP, why_not):
+            session.start_task(Reconstruction(captures.path, _chosen.settings))
+    else:
+        imgui.text_wrapped(f"To reconstruct, torch is needed, which is not installed: {HOW_TO_GET_TORCH}")
+    if not session.scene.gaussian_count:
+        why_not = why_not or "There is no scene yet whose colours could be solved for."
+    if _button("Recolour to these pictures", _RECOLOR_HELP, why_not):
+        session.start_task(Recoloring(session.scene, session.files.known, captures.path))
+    if _button("Recolour to other pictures...", _RECOLOR_OTHERS_HELP, why_not):
+        ask_what_to_open("Pictures to recolour to (folder)", "", partial(_recolor, session, captures.path))
+    if newest is not None:
+        imgui.separator_text(newest[1].title)
+        job_fields(session, newest[1], newest[0])
+
+
+def _why_not(session: Session) -> str | None:
+    """Why nothing can be started now; None where it can."""
+    if session.running_jobs:
+        return f"Wait for {session.running_jobs[0].title}, or cancel it."
+    return "Wait for the scene that is being brought into the picture." if session.staged is not None else None
+
+
+def _button(label: str, help_text: str, why_not: str | None) -> bool:
+    imgui.begin_disabled(why_not is not None)
+    is_pressed = imgui.button(label, (-1, 0))
+    imgui.end_disabled()
+    imgui.set_item_tooltip(help_text if why_not is None else why_not)
+    return is_pressed
+
+
+def _newest(session: Session) -> tuple[int, SceneJob] | None:
+    """Return the last of these jobs, with its place among all."""
+    own = [
+        (number, job)
+        for number, job in enumerate(session.jobs)
+        if isinstance(job, SceneJob) and isinstance(job.task, Reconstruction | Recoloring)
+    ]
+    return own[-1] if own else None
+
+
+def _recolor(session: Session, capture: Path, chosen: list[Path]) -> None:
+    session.start_task(Recoloring(session.scene, session.files.known, capture, chosen[0]))
+
+
+def _settings() -> None:
     _preset()
     for name, step in _NUMBERS.items():
         _number(name, step)
     for name in ("density", "sh_degree"):
         _choice(name)
-    capture = captures.capture
-    if capture is not None and not capture.has_poses:
-        imgui.text_wrapped("Nothing tells where the cameras stood: let COLMAP find it, and open its folder.")
-        return
-    is_busy = bool(session.running_jobs) or session.staged is not None
-    imgui.begin_disabled(is_busy or captures.path is None)
-    if imgui.button("Reconstruct", (-1, 0)) and captures.path is not None:
-        session.start_task(Reconstruction(captures.path, _chosen.settings))
-    imgui.end_disabled()
-    imgui.set_item_tooltip(
-        "Fit Gaussians to the capture in the background. Snapshots come into the view meanwhile; undo brings the "
-        "present scene back. A report with the held-out views stays in the Jobs panel."
-    )
-    imgui.begin_disabled(is_busy or captures.path is None or not session.scene.gaussian_count)
-    if imgui.button("Recolour the scene to these pictures", (-1, 0)) and captures.path is not None:
-        session.start_task(Recoloring(session.scene, session.files.known, captures.path))
-    imgui.set_item_tooltip(
-        "Solve for wet colours in which the present scene looks like the capture's pictures; its cameras must be in "
-        "the scene's axes. The clear colours stay; one step, undo takes it back."
-    )
-    if imgui.button("Recolour to other pictures...", (-1, 0)) and captures.path is not None:
-        ask_what_to_open("Pictures to recolour to (folder)", "", partial(_recolor, session, captures.path))
-    imgui.end_disabled()
-    imgui.set_item_tooltip(
-        "The same with pictures from a folder, such as transferred ones, named like the capture's own."
-    )
-
-
-def _recolor(session: Session, capture: Path, chosen: list[Path]) -> None:
-    session.start_task(Recoloring(session.scene, session.files.known, capture, chosen[0]))
 
 
 def _preset() -> None:

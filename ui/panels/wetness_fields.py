@@ -6,7 +6,9 @@ from gsrain_engine.session.session import Session
 
 from ..widgets import fields
 
-_NO_WET_COLORS = 'The scene has no wet colours yet: the job "Make it rainy (preview)" makes them.'
+_NO_WET_COLORS = (
+    'The scene has no wet colours yet: "Make it rainy (preview)" in Jobs or recolouring in Capture makes them.'
+)
 
 
 def wetness_fields(session: Session) -> None:
@@ -22,16 +24,12 @@ def wetness_fields(session: Session) -> None:
         session.change_rain("Wetness", "wetness", wetness=value)
     fields.end_gesture_when_released(session)
     imgui.end_disabled()
-    _tell(fields.field_info("wetness").help, has_colors=has_colors)
+    imgui.set_item_tooltip(fields.field_info("wetness").help if has_colors else _NO_WET_COLORS)
     imgui.same_line()
     imgui.begin_disabled(not has_colors)
     changed, automatic = imgui.checkbox("auto", own is None)
     if changed:
         session.change_rain("Wetness by the intensity" if automatic else "Wetness", wetness=None if automatic else now)
     imgui.end_disabled()
-    _tell("Let the wetness follow the rainfall intensity (docs/physics.md, 11).", has_colors=has_colors)
-
-
-def _tell(help_text: str, *, has_colors: bool) -> None:
-    if imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled):
-        imgui.set_tooltip(help_text if has_colors else _NO_WET_COLORS)
+    help_text = "Let the wetness follow the rainfall intensity (docs/physics.md, 11)."
+    imgui.set_item_tooltip(help_text if has_colors else _NO_WET_COLORS)

@@ -18,7 +18,7 @@ def read_pickle(file: Path) -> Any:
     """Read a pickle of builtin containers, numbers, strings and NumPy arrays; `CaptureError` for any other."""
     try:
         if file.stat().st_size > _MOST_BYTES:
-            raise CaptureError(f"{file}: more than {_MOST_BYTES >> 30} GB, which no table of a data set needs")
+            raise CaptureError(f"{file}: more than {_MOST_BYTES >> 30} GB, which no table or weights need")
         content = file.read_bytes()
     except OSError as error:
         raise CaptureError(f"{file}: can't be read ({error})") from None
@@ -39,7 +39,7 @@ class _PlainValues(pickle.Unpickler):
         found = _ALLOWED.get((_OLD_MODULES.get(module, module).replace("numpy._core", "numpy.core"), name))
         if found is None:
             raise pickle.UnpicklingError(
-                f"refused, for it asks for {module}.{name}; a table of a data set holds plain values and NumPy arrays"
+                f"refused, for it asks for {module}.{name}; a file of data holds plain values and NumPy arrays"
             )
         return found
 
@@ -47,26 +47,45 @@ class _PlainValues(pickle.Unpickler):
         raise pickle.UnpicklingError("refused, for it points to things outside itself")
 
 
+class _PlainArray(np.ndarray):
+    """An array that takes in numbers only where its type is one of NumPy's own: pickles build types field by field."""
+
+    def __new__(cls, *_: Any) -> "_PlainArray":
+        """Refuse: NumPy's pickles begin with an empty array and fill it."""
+        raise pickle.UnpicklingError("refused, for an array in it is not built as NumPy does")
+
+    def __setstate__(self, state: Any, /) -> None:
+        _, _, kind, _, _ = state
+        _check_plain(kind)
+        super().__setstate__(state)
+
+
+def _check_plain(kind: Any) -> None:
+    """Refuse types with fields, whose offsets may lie, and those that lie about whether they hold objects."""
+    if not isinstance(kind, np.dtype) or kind.kind == "V" or kind.hasobject != (kind.kind == "O"):
+        raise pickle.UnpicklingError("refused, for an array in it is of another kind than plain numbers, text, objects")
+
+
 def _dtype(*arguments: Any) -> np.dtype[Any]:
-    kind = np.dtype(*arguments)
-    if kind.hasobject and kind != np.dtype(object):
-        raise pickle.UnpicklingError("refused, for an array in it hides objects among its numbers")
-    return kind
+    """Make a type; a function in place of NumPy's class, of which pickles could otherwise make others."""
+    return np.dtype(*arguments)
 
 
 def _empty_array(kind: Any, shape: Any, _code: Any) -> np.ndarray:
     """Stand in for NumPy's own, which would make room for whatever shape it is told."""
-    if kind is not np.ndarray or tuple(shape) != (0,):
+    if kind is not _PlainArray or tuple(shape) != (0,):
         raise pickle.UnpicklingError("refused, for an array in it is not built as NumPy does")
-    return np.ndarray((0,), np.int8)
+    return np.ndarray.__new__(_PlainArray, (0,), np.int8)
 
 
 def _array_of_bytes(content: Any, kind: Any, shape: Any, order: Any, *_: Any) -> np.ndarray:
-    return np.frombuffer(content, _dtype(kind)).reshape(shape, order=order)
+    _check_plain(kind)
+    return np.frombuffer(content, kind).reshape(shape, order=order)
 
 
 def _scalar(kind: Any, content: Any = b"") -> Any:
-    if not isinstance(content, bytes) or np.dtype(kind).hasobject or len(content) != np.dtype(kind).itemsize:
+    _check_plain(kind)
+    if not isinstance(content, bytes) or len(content) != kind.itemsize:
         raise pickle.UnpicklingError("refused, for a number in it is not stored as NumPy does")
     return np.frombuffer(content, kind)[0]
 
@@ -86,7 +105,7 @@ def _bytes(*content: Any) -> bytes:
 
 
 _ALLOWED: dict[tuple[str, str], type | Callable[..., Any]] = {
-    ("numpy", "ndarray"): np.ndarray,
+    ("numpy", "ndarray"): _PlainArray,
     ("numpy", "dtype"): _dtype,
     ("numpy.core.multiarray", "_reconstruct"): _empty_array,
     ("numpy.core.multiarray", "scalar"): _scalar,

@@ -1,6 +1,6 @@
 """RainSense as a capture: one sequence with its lidar and its boxes, or the pictures of the whole data set.
 
-Beside what rainsense.py reads: context/calib_lid_to_cam.txt (4x4, metres), lidar/frame_NNN.csv with X, Y, Z and
+Beside what sequence.py reads: context/calib_lid_to_cam.txt (4x4, metres), lidar/frame_NNN.csv with X, Y, Z and
 Reflectivity, and label/label_NNN.txt, a line a thing in KITTI's form (camera axes, turn about y).
 """
 
@@ -13,7 +13,6 @@ from jaxtyping import Float64
 
 from ..capture import Capture, CaptureError, Sweep, TrackedBox
 from ..geometry.box_tracks import BoxSample, tracked_boxes
-from ..geometry.opencv_camera import opencv_camera
 from ..geometry.rigid_poses import rigid, transformed
 from ..named_problems import some_names
 from .sequence import RainSequence, find_rain_sequences, read_numbers, read_rain_sequence
@@ -69,10 +68,9 @@ def _data_set(path: Path, sequences: Sequence[RainSequence]) -> Capture:
 
 
 def _with_rain(capture: Capture, sequence: RainSequence) -> Capture:
-    """Say with each view how hard it rained; the intrinsics are OpenCV's, whose first pixel has its centre at 0."""
-    rain, c = {RAIN: f"{sequence.intensity_mm_h:g}"}, sequence.camera
-    camera = opencv_camera((c.fx, c.fy), (c.cx, c.cy), (c.width, c.height), c.world_to_camera)
-    return replace(capture, views=tuple(replace(view, camera=camera, attributes=rain) for view in capture))
+    """Say with each view how hard it rained."""
+    rain = {RAIN: f"{sequence.intensity_mm_h:g}"}
+    return replace(capture, views=tuple(replace(view, attributes=rain) for view in capture))
 
 
 def _sweeps(folder: Path, sequence: RainSequence, times: dict[int, float], problems: list[str]) -> tuple[Sweep, ...]:

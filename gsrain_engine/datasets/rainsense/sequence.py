@@ -17,6 +17,7 @@ from jaxtyping import Float64, UInt8
 from gsrain_engine.scene.camera import Camera, look_at
 
 from ..capture import Capture, CaptureError, Lens, View
+from ..geometry.opencv_camera import opencv_camera
 
 CAMERA_HEIGHT_M = 1.5
 """Assumed, for the files don't tell it: the height of a sensor on a car, as the paper has it."""
@@ -34,6 +35,7 @@ class RainSequence:
     """The folder below the data set's own, such as light_rain/scene_2/case_000."""
     intensity_mm_h: float
     camera: Camera
+    """Its first pixel has its centre at (0.5, 0.5), as everywhere here; the file's own numbers are OpenCV's."""
     distortion: Float64[np.ndarray, "5"]
     """OpenCV's k1, k2, p1, p2, k3; the pictures are as the lens made them."""
     images: tuple[Path, ...]
@@ -94,7 +96,10 @@ def read_rain_sequence(folder: Path, name: str | None = None) -> RainSequence:
         raise ValueError(f"{images[0]}: not a readable JPEG")
     eye = np.array([0.0, 0.0, CAMERA_HEIGHT_M])
     pose = look_at(eye, eye + [1.0, 0.0, 0.0], np.array([0.0, 0.0, 1.0]))
-    camera = Camera(first.shape[1], first.shape[0], k[0], k[4], k[2], k[5], pose)
+    try:
+        camera = opencv_camera((k[0], k[4]), (k[2], k[5]), (first.shape[1], first.shape[0]), pose)
+    except ValueError as error:
+        raise ValueError(f"{folder / _INTRINSICS}: {error}") from None
     times = _times(folder / "timestamps.txt", images)
     return RainSequence(name or folder.name, intensity, camera, np.array(k[9:14]), images, times)
 

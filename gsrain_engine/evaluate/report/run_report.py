@@ -49,9 +49,13 @@ class RunReport:
 
 
 def write_report(file: Path, report: RunReport) -> None:
-    """Write a page of HTML with its style, curves and pictures inside; the file appears whole or not at all."""
+    """Write a page of HTML with its style, curves and pictures inside; the file appears whole or not at all.
+
+    Missing parents are made.
+    """
     from .page import report_page  # the page needs the types above
 
     page = report_page(report)
+    file.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(file) as beside:
         beside.write_text(page, encoding="utf-8")

@@ -14,10 +14,12 @@ from gsrain_engine.raster.rasterizer import rasterize
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.members import Part
 
-from .measured_depth import completed_depths, measured_depths, static_sweeps
+from .camera_way import camera_way
+from .hidden_ground import hidden_ground
+from .known_depth import KnownDepth, known_depth
 from .moving_masks import moving_boxes, static_mask
 from .point_colors import point_colors, projected
-from .sky_pixels import sky_masks
+from .shortened import shortened
 from .surfels import Surfels, cell_means, cells, surfels_of_view
 from .view_rays import pixel_rays
 
@@ -31,6 +33,8 @@ _COARSER = 1.7
 """Where those that are there are so many times larger than a cell, the nearer view adds its own."""
 _FOR_HOLES = 0.1
 """Part of the budget that is kept for holes."""
+_FOR_GROUND, _FOR_PIECES = 0.05, 0.2
+"""Parts of the budget that are kept for the road under the ego, and with it for cutting what is too long."""
 _HOLE = 0.5
 """Alpha below which a pixel with a surface counts as one."""
 _PAINTED_FROM = 4
@@ -39,7 +43,9 @@ _LEAST_MEASURED = 12
 """Measured pixels that a view must have, or it adds nothing."""
 
 
-def initial_gaussians(capture: Capture, views: Sequence[View], budget: int, seed: int = 0) -> Gaussians:
+def initial_gaussians(
+    capture: Capture, views: Sequence[View], budget: int, seed: int = 0, known: KnownDepth | None = None
+) -> Gaussians:
     """Cover what the views see of the static scene with at most `budget` Gaussians, in the capture's world.
 
     Where depth, lidar or points are known, each view is completed to dense depth and its cells of some pixels become
@@ -51,23 +57,25 @@ def initial_gaussians(capture: Capture, views: Sequence[View], budget: int, seed
         views: Those that are trained on, without distortion, in the size of the training (`prepared`).
         budget: Most Gaussians; leave room for those that density control adds.
         seed: Of what is random.
+        known: Depth and sky of the views; found here where not given.
     """
+    known = known_depth(capture, views) if known is None else known
     moving = moving_boxes(capture)
     unmasked = [view.held() for view in views]
     views = [replace(view, mask_source=static_mask(view, moving)) for view in unmasked]
-    measured = measured_depths(capture, views, static_sweeps(capture, moving))
-    skies = sky_masks(views, measured, capture.up)
-    if sum(int((depth > 0).sum()) >= _LEAST_MEASURED for depth in measured) == 0:
-        return _random_gaussians(views, skies, budget, seed)
-    depths = completed_depths(capture, views, measured, skies)
+    if sum(int((depth > 0).sum()) >= _LEAST_MEASURED for depth in known.measured) == 0:
+        return _random_gaussians(views, known.skies, budget, seed)
+    depths = known.completed
     hidden = [_hidden_by_movers(view, own) for view, own in zip(views, unmasked, strict=True)]
     pixels = sum(view.camera.width * view.camera.height for view in views if view.time_s == views[0].time_s)
     stride = max(int(np.sqrt(pixels / max(budget, 1)) / 2), 1)
-    while (surfels := _covering(views, depths, hidden, stride, round((1 - _FOR_HOLES) * budget))) is None:
+    while (surfels := _covering(views, depths, hidden, stride, round((1 - _FOR_HOLES - _FOR_PIECES) * budget))) is None:
         stride += 1
         if stride > max(view.camera.width for view in views):  # not even one for each view
             raise ValueError(f"a budget of {budget} Gaussians is too small for {len(views)} views")
-    return _without_holes(surfels, views, depths, stride, budget)
+    gaussians = _without_holes(surfels, views, depths, stride, round((1 - _FOR_PIECES) * budget))
+    ground = hidden_ground(gaussians, views, capture.up, round(_FOR_GROUND * budget), SURFACE_OPACITY)
+    return shortened(Gaussians.concatenate([gaussians, ground]), camera_way(views), budget)
 
 
 def _hidden_by_movers(view: View, unmasked: View) -> View | None:

@@ -34,6 +34,8 @@ class AdaptiveSettings:
     split_from: float = 0.01
     """Gaussians larger than this part of the extent are split, smaller ones cloned."""
     least_opacity: float = 0.005
+    split_on_screen: float = 0.08
+    """Part of the picture's longer side from which a radius calls for a split, whatever the gradient."""
     largest: float = 0.1
     """Part of the extent that a Gaussian may be large, once opacities were reset."""
     largest_on_screen: float = 0.15
@@ -113,8 +115,9 @@ class AdaptiveDensity:
         if s.reset_every and step > s.reset_every:
             gone |= (size > s.largest * s.extent) | (self._notes["radius"] > s.largest_on_screen)
         room = max(s.most - len(parameters) + int(gone.sum()), 0)
-        growing = _highest((pull >= s.gradient) & ~gone, pull, room)
-        large = size > s.split_from * s.extent
+        wide = self._notes["radius"] > s.split_on_screen
+        growing = _highest(((pull >= s.gradient) | wide) & ~gone, pull + wide * float(pull.max()), room)
+        large = (size > s.split_from * s.extent) | wide
         split, cloned = growing & large, growing & ~large
         more = [parameters.rows(cloned), _children(parameters.rows(split), generator)]
         parameters.keep(~(gone | split))

@@ -8,7 +8,7 @@ import numpy as np
 
 from .problem import ColorProblem, ProblemView
 from .settings import RecolorSettings
-from .solver import Step
+from .solver import Step, solve_colors
 
 STRENGTHS = (300.0, 30.0, 3.0, 0.3)
 """Pulls that are tried, in evidence of a Gaussian (squared weights, summed over pixels and views)."""
@@ -16,7 +16,7 @@ STRENGTHS = (300.0, 30.0, 3.0, 0.3)
 _SPARED = 4
 """Every so-many-th view is left out."""
 _MOST_VIEWS = 16
-_ITERATIONS = 5
+_ITERATIONS = 4
 
 
 def chosen_pull(problem: ColorProblem, settings: RecolorSettings) -> Generator[Step, None, float]:
@@ -33,10 +33,11 @@ def chosen_pull(problem: ColorProblem, settings: RecolorSettings) -> Generator[S
         return STRENGTHS[1]
     trial = replace(problem, views=taught, held_out=spared)
     best, least = STRENGTHS[0], np.inf
+    targets, nothing = trial.first_targets(settings), np.zeros_like(problem.prior)
     for strength in STRENGTHS:
-        own = msgspec.structs.replace(settings, tikhonov=strength, iterations=_ITERATIONS, rounds=1, exposure=False)
-        change = np.zeros_like(problem.prior)
-        for step in trial.solve(own):
+        pull = trial.pull(msgspec.structs.replace(settings, tikhonov=strength))
+        change = nothing
+        for step in solve_colors(targets, len(problem.rows), _ITERATIONS, pull, nothing):
             change = step.change
             yield step
         error = float(np.median([_error(view, problem.prior + change) for view in spared]))

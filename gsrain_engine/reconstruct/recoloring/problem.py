@@ -95,6 +95,12 @@ class ColorProblem:
             solution = Solution(self.prior + change, solution.affines, solution.trust)
         return solution
 
+    def first_targets(self, settings: RecolorSettings) -> list[ColorTarget]:
+        """What the views say while their exposures are taken for equal, and nothing has been solved for."""
+        beginning = Solution(self.prior, (NO_CHANGE,) * len(self.views), np.ones(len(self.views)))
+        pictures = [view.picture(self.prior) for view in self.views]
+        return self._weighed(beginning, pictures, settings, is_first=True)[1]
+
     def _weighed(
         self, solution: Solution, pictures: Sequence[Float32[np.ndarray, "_ _ 3"]], settings: RecolorSettings,
         *, is_first: bool,

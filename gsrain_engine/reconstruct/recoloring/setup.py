@@ -19,8 +19,8 @@ from .views import SeenView, TargetView, seen_view, surface_shares
 
 _VIEWS_DONE = 0.6
 """Share of the set-up that looking takes, measured on the built-in street."""
-_SPACING_PX = 2
-"""Every second pixel each way is enough for a map of twelve numbers a surface."""
+_SPACING_PX = 3
+"""Every third pixel each way is enough for a map of twelve numbers a surface."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,6 +14,7 @@ from .held_out import Perceived, Score, score
 from .loss import Truth, view_loss
 from .model import Picture, SplatModel
 from .schedule import Schedule, view_order
+from .transients import agreeing
 from .views import TrainingView
 
 torch: Any = import_module("torch")
@@ -62,6 +63,8 @@ class Training:
         self.model.zero_grad()
         picture = self.model.render(level.camera, view.time_s, self.schedule.sh_degree(number))
         shown = picture.color if self._exposures is None else self._exposures.apply(index, picture.color)
+        if self.schedule.leaves_out(number):
+            truth = truth._replace(mask=agreeing(shown, truth.image, truth.mask, settings.transients))
         loss = view_loss(picture, shown, truth, settings)
         total = loss.total
         if self._exposures is not None:

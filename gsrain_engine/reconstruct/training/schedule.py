@@ -13,6 +13,8 @@ LEVELS = 3
 """Sizes that pictures are learned at: whole, a half, a quarter."""
 
 _EXTENT_MARGIN = 1.1
+_TRANSIENTS_FROM = 0.25
+"""Share of the steps after which it shows what contradicts the other pictures; later it is learned by heart."""
 _DEGREE_SHARE = 0.2
 """Share of the steps after which each further degree of the harmonics joins in."""
 
@@ -49,6 +51,10 @@ class Schedule:
     def sh_degree(self, step: int) -> int:
         """Degree of the harmonics that are learned at a step: one more after each fifth of the steps."""
         return min(self.settings.sh_degree, int(step / (_DEGREE_SHARE * self.settings.steps)))
+
+    def leaves_out(self, step: int) -> bool:
+        """Whether pixels that contradict the others are left out: not before the scene is roughly there."""
+        return self.settings.transients > 0 and step >= _TRANSIENTS_FROM * self.settings.steps
 
     def _settling(self, done: float) -> float:
         """Let colours come to rest in the last third: a short run has no time to average its noise away."""

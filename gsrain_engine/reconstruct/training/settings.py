@@ -35,7 +35,7 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     steps: Annotated[
         int, Meta(ge=1, le=1_000_000, title="Steps", description="How often one view is rendered and learned from.")
-    ] = 1500
+    ] = 2000
     width_px: Annotated[
         int,
         Meta(
@@ -80,6 +80,25 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     cover: Annotated[
         Weight, Meta(title="Cover", description="Weight of holes before what has a depth, and of veils before the sky.")
     ] = 0.05
+    free_space: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=0.9,
+            title="Free space",
+            description="Share of the way to what a camera sees that must be empty, where depth is known; 0: off.",
+        ),
+    ] = 0.2
+    transients: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=0.5,
+            title="Transients",
+            description="Most of a picture that is left out late where it contradicts the others; for captures "
+            "without boxes of what moves. 0: off.",
+        ),
+    ] = 0.1
     exposure: Annotated[
         Weight, Meta(title="Exposure", description="Pull of each picture's affine map of colours to none; 0: no maps.")
     ] = 0.5

@@ -8,8 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import Bool
+import msgspec
 
 from gsrain_engine.datasets.capture import Capture, CaptureError, View
 from gsrain_engine.evaluate.lpips import Lpips
@@ -18,14 +17,15 @@ from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.progress import Progress
 
 from ..beginning.actor_layers import actor_layers
+from ..beginning.camera_way import camera_way
 from ..beginning.ego_mask import without_ego
 from ..beginning.initial_gaussians import initial_gaussians
-from ..beginning.measured_depth import completed_depths, measured_depths
+from ..beginning.known_depth import KnownDepth, known_depth
 from ..beginning.moving_masks import moving_boxes, static_mask
 from ..beginning.sky_layer import initial_sky
-from ..beginning.sky_pixels import sky_masks
 from ..density.adaptive import AdaptiveDensity, AdaptiveSettings
 from ..density.control import DensityControl
+from ..density.free_space import ClearedDensity, FreeSpace
 from ..density.monte_carlo import MonteCarloDensity, MonteCarloSettings
 from .held_out import Perceived
 from .model import SplatModel
@@ -60,27 +60,33 @@ def start_training(
     device = _device(settings.device)
     yield Progress(0.0, f"Reading {len(capture)} pictures")
     views = prepared_views(capture, settings.width_px)
-    depths = measured_depths(capture, views)
-    yield Progress(0.01, "Looking for the sky")
-    skies = sky_masks(views, depths, capture.up)
+    yield Progress(0.005, "Looking for surfaces and sky")
+    known = known_depth(capture, views)
     if settings.own_body:
         yield Progress(0.012, "Looking for the vehicle's own body")
-        views = without_ego(views, completed_depths(capture, views, depths, skies))
+        views = without_ego(views, known.completed)
     learned = [index for index in range(len(views)) if index not in set(held_out)]
     yield Progress(0.015, "Placing the first Gaussians")
-    model = _model(capture, settings, views, skies if settings.sky else None, learned, device)
+    model = _model(capture, settings, [views[i] for i in learned], known.of(learned), device)
     moving = [box for box in moving_boxes(capture) if box.id not in model.actors]
     ready = [
         TrainingView.of(
             view,
-            depths[index] if depths[index].any() else None,
+            known.measured[index] if known.measured[index].any() else None,
             static_mask(view, moving) if moving else view.mask,
-            skies[index] if settings.sky else None,
+            known.skies[index] if settings.sky else None,
         )
         for index, view in enumerate(views)
     ]
+    if capture.boxes:  # they tell what moves
+        settings = msgspec.structs.replace(settings, transients=0.0)
     schedule = Schedule(settings, camera_extent([views[i] for i in learned]))
-    training = Training(model, [ready[i] for i in learned], schedule, _control(settings, schedule), device)
+    control = _control(settings, schedule)
+    way = camera_way([views[i] for i in learned])
+    free = FreeSpace.of([views[i].camera for i in learned], known.of(learned).measured, way, settings.free_space)
+    if free is not None and settings.free_space:
+        control = ClearedDensity(control, free, settings.steps)
+    training = Training(model, [ready[i] for i in learned], schedule, control, device)
     if not capture.is_metric:
         logger.info("%s: nothing tells how long a metre is; set the scene's scale before it rains", capture.name)
     return StartedTraining(training, [ready[i] for i in held_out], _perceived(lpips, device))
@@ -90,20 +96,16 @@ def _model(
     capture: Capture,
     settings: TrainingSettings,
     views: Sequence[View],
-    skies: Sequence[Bool[np.ndarray, "h w"]] | None,
-    learned: Sequence[int],
+    known: KnownDepth,
     device: str,
 ) -> SplatModel:
     """First Gaussians of everything, from the views that are learned from."""
-    own = [views[i] for i in learned]
     budget = max(round(_INITIAL_SHARE * settings.gaussians), 1)
-    background = initial_gaussians(capture, own, budget, settings.seed)
+    background = initial_gaussians(capture, views, budget, settings.seed, known)
     if not len(background):
         raise CaptureError(f"{capture.name}: no view shows anything that could be learned from; check poses and masks")
-    sky = Gaussians.empty()
-    if skies is not None:
-        sky = initial_sky(capture, own, background, [skies[i] for i in learned])
-    actors = actor_layers(capture, own) if settings.actors else ()
+    sky = initial_sky(capture, views, background, known.skies) if settings.sky else Gaussians.empty()
+    actors = actor_layers(capture, views) if settings.actors else ()
     return SplatModel(
         SplatParameters.from_gaussians(background, settings.sh_degree, device),
         SplatParameters.from_gaussians(sky, 0, device) if len(sky) else None,

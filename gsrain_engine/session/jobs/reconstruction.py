@@ -13,6 +13,7 @@ from gsrain_engine.scene.scene import Scene
 from ..staged_scene import StagedScene
 from .report_files import new_report
 from .scene_job import Assignment
+from .torch_extra import require_torch
 
 _SCENE, _SNAPSHOT = "scene", "snapshot"
 
@@ -59,10 +60,7 @@ class Reconstruction:
 
 def reconstruct_capture(task: ReconstructionTask) -> Iterator[Progress]:
     """Work of the job, for a process that has torch."""
-    try:
-        from gsrain_engine.reconstruct.training.training import reconstruct
-    except ModuleNotFoundError as error:
-        if error.name != "torch":
-            raise
-        raise ValueError("reconstructing needs torch: pip install 'gsrain[jobs]'") from None
+    require_torch("reconstructing")
+    from gsrain_engine.reconstruct.training.training import reconstruct
+
     yield from reconstruct(task)

@@ -12,8 +12,9 @@ from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
 from ..log import told
+from .job_folder import JobFolder
 from .recorded_project import record_in_worker
-from .scene_copy import SCENE, copy_scene, remove_copy
+from .scene_copy import write_copy
 from .worker import Job, JobState
 
 if TYPE_CHECKING:
@@ -43,9 +44,9 @@ class RecordingJob:
         self.progress = Progress(0.0, "Saving the scene for the worker")
         self.error: str | None = None
         self.details: str | None = None
-        self._recording, self._files, self._notes = recording, files, tuple(notes)
-        self._folder: Path | None = None
-        self._saving: Future[Path] | None = files.submit(copy_scene, scene, known)
+        self._recording, self._notes = recording, tuple(notes)
+        self._folder = JobFolder(files)
+        self._saving: Future[Path] | None = self._folder.do(lambda folder: write_copy(scene, folder, known))
         self._worker: Job | None = None
 
     def poll(self, session: "Session") -> None:
@@ -55,15 +56,12 @@ class RecordingJob:
         try:
             if self._saving is not None and self._saving.done():
                 saving, self._saving = self._saving, None
-                self._folder = saving.result()
-                self._worker = Job(self.title, record_in_worker, self._folder / SCENE, self._recording)
+                self._worker = Job(self.title, record_in_worker, saving.result(), self._recording)
             if self._worker is not None:
                 self._follow(self._worker)
         except Exception as error:  # whatever a disk can do: the window lives on
             self.error = told(f"{self._recording.output} can't be recorded", error)
             self._end("failed")
-        if self.error is not None:
-            session.problem = self.error
 
     def cancel(self) -> None:
         """Stop; what has been recorded so far can be played."""
@@ -75,9 +73,7 @@ class RecordingJob:
         worker.poll()
         self.progress = worker.progress
         if worker.state == "failed":
-            kind, _, sentence = (worker.error or "").partition(": ")
-            self.error = sentence if kind in ("OSError", "ValueError") else worker.error
-            self.details = worker.details
+            self.error, self.details = worker.error, worker.details
             self._end("failed")
         elif worker.state == "finished":
             logger.info("Recorded %s", self._recording.output)
@@ -91,6 +87,5 @@ class RecordingJob:
             self._worker.cancel()
         if self._saving is not None:
             self._saving.cancel()
-        # Ending a process and emptying a folder take their time: the window goes on meanwhile.
-        self._files.submit(remove_copy, self._worker, self._saving, self._folder)
+        self._folder.remove(self._worker)
         self._worker = self._saving = None

@@ -7,7 +7,6 @@ import platformdirs
 
 
 def new_report(name: str) -> Path:
-    """Make the folder for reports, and choose a file in it for one about `name`, by the present date and time."""
-    folder = Path(platformdirs.user_data_dir("gsrain", appauthor=False)) / "reports"
-    folder.mkdir(parents=True, exist_ok=True)
+    """Choose a file for one about `name`, by the present date and time; its folder need not be there yet."""
+    folder = platformdirs.user_data_path("gsrain", appauthor=False) / "reports"
     return folder / f"{name.replace('/', '_')}_{datetime.now():%Y-%m-%d_%H-%M-%S}.html"

@@ -5,10 +5,10 @@ thread, touches the session.
 """
 
 import logging
-import shutil
-import tempfile
+import secrets
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -16,6 +16,7 @@ from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
 from ..staged_scene import StagedScene
+from .job_folder import JobFolder
 from .worker import Job, JobState, Work
 
 if TYPE_CHECKING:
@@ -74,15 +75,15 @@ class SceneJob:
         self.details: str | None = None
         self.report: Path | None = None
         """The report, once it is there."""
-        self._task, self._files = task, files
-        self._folder = Path(tempfile.mkdtemp(prefix="gsrain-"))
-        self._preparing: Future[Assignment] | None = files.submit(task.prepare, self._folder)
+        self.task = task
+        self._folder = JobFolder(files)
+        self._preparing: Future[Assignment] | None = self._folder.do(task.prepare)
         self._worker: Job | None = None
         self._snapshot: Future[Scene | None] | None = None
         self._looked_at = ""
         """What the worker had said when its last snapshot was asked for."""
         self._loading: Future[Scene] | None = None
-        self._gesture = f"job {self._folder.name}"
+        self._gesture = f"job {secrets.token_hex(8)}"
         self._has_shown = False
         """Whether a snapshot has been on its way into the document."""
 
@@ -98,7 +99,7 @@ class SceneJob:
                 self._follow(self._worker, session)
             if self._loading is not None and self._loading.done():
                 self._stage(self._loading.result(), session, is_finished=True)
-                self.report = self._task.report
+                self.report = self.task.report
                 logger.info("%s: done%s", self.title, "" if self.report is None else f"; report: {self.report}")
                 self._end("finished")
         except Exception as error:  # whatever a disk or a worker can do: the window lives on
@@ -119,7 +120,7 @@ class SceneJob:
         elif worker.state == "finished":
             self._worker = None
             self.progress = Progress(1.0, "Loading the result", self.progress.preview)
-            self._loading = self._files.submit(self._load, worker)
+            self._loading = self._folder.do(partial(self._load, worker))
         else:
             self._follow_snapshots(session)
 
@@ -130,17 +131,17 @@ class SceneJob:
                 self._stage(scene, session, is_finished=False)
         if self._snapshot is None and self.progress.message != self._looked_at:
             self._looked_at = self.progress.message
-            self._snapshot = self._files.submit(self._task.snapshot, self._folder)
+            self._snapshot = self._folder.do(self.task.snapshot)
 
     def _stage(self, scene: Scene, session: "Session", *, is_finished: bool) -> None:
         if not session.is_opening:  # else it would take the place of the scene that comes
             goes_on = self._has_shown and not is_finished
             self._has_shown = True
-            session.stage(replace(self._task.staged(scene), gesture=self._gesture, goes_on=goes_on))
+            session.stage(replace(self.task.staged(scene), gesture=self._gesture, goes_on=goes_on))
 
-    def _load(self, worker: Job) -> Scene:
+    def _load(self, worker: Job, folder: Path) -> Scene:
         worker.close()
-        return self._task.load(self._folder)
+        return self.task.load(folder)
 
     def _end(self, state: JobState) -> None:
         self.state = state
@@ -150,13 +151,5 @@ class SceneJob:
             self._worker.cancel()
         if self._preparing is not None:
             self._preparing.cancel()
-        # Ending a process and emptying a folder take their time: the window goes on meanwhile. One thread does it all
-        # in turn, so that nobody writes into the folder any more.
-        self._files.submit(_clear_away, self._worker, self._folder)
+        self._folder.remove(self._worker)
         self._worker = None
-
-
-def _clear_away(worker: Job | None, folder: Path) -> None:
-    if worker is not None:
-        worker.close()
-    shutil.rmtree(folder, ignore_errors=True)

@@ -31,7 +31,7 @@ class Job:
     """One piece of work in another process. Call `poll` once a frame."""
 
     def __init__(self, title: str, work: Work, *arguments: Any) -> None:
-        """Start at once. The arguments must survive pickling; large ones go by file."""
+        """Start at once. The arguments must survive pickling; large ones go by file. Raises what starting raises."""
         context = multiprocessing.get_context("spawn")
         self.title = title
         self.state: JobState = "running"
@@ -43,8 +43,14 @@ class Job:
         self._picture = SharedPicture()
         arguments = (theirs, self._picture.name, work, arguments)
         self._process = context.Process(target=_run, args=arguments, daemon=True)
-        self._process.start()
-        theirs.close()
+        try:
+            self._process.start()
+        except BaseException:
+            self._messages.close()
+            self._picture.close()
+            raise
+        finally:
+            theirs.close()
 
     @property
     def waitable(self) -> Connection:
@@ -122,6 +128,7 @@ def _run(messages: Connection, picture_name: str, work: Work, arguments: tuple[A
 
 def _sentence(error: Exception) -> str:
     """What went wrong, for a person: torch tells of missing memory as a RuntimeError."""
-    if isinstance(error, MemoryError) or "out of memory" in str(error) or "can't allocate memory" in str(error):
-        return f"{_OUT_OF_MEMORY} ({error or type(error).__name__})"
-    return f"{type(error).__name__}: {error}"
+    said = str(error) or type(error).__name__
+    if isinstance(error, MemoryError) or "out of memory" in said or "can't allocate memory" in said:
+        return f"{_OUT_OF_MEMORY} ({said})"
+    return said if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {error}"

@@ -4,12 +4,14 @@ import os
 import signal
 import time
 from multiprocessing.connection import wait as wait_for
+from multiprocessing.shared_memory import SharedMemory
 
 import numpy as np
 import psutil
 import pytest
 
 from gsrain_engine.scene.progress import Progress
+from gsrain_engine.session.jobs import worker
 from gsrain_engine.session.jobs.shared_picture import SharedPicture
 from gsrain_engine.session.jobs.worker import Job
 
@@ -20,9 +22,9 @@ def counting(path, steps):
     path.write_text("result")
 
 
-def failing():
+def failing(kind):
     yield Progress(0.5, "about to fail")
-    raise ValueError("the third wheel is missing")
+    raise kind("the third wheel is missing")
 
 
 def dying():
@@ -78,12 +80,34 @@ def test_a_job_reports_and_leaves_its_result(tmp_path):
     job.close()
 
 
-def test_a_failing_job_has_one_line_and_a_traceback():
-    job = Job("Fail", failing)
+@pytest.mark.parametrize(
+    ("kind", "told"),
+    [
+        (ValueError, "the third wheel is missing"),  # foreseen, and said in a sentence
+        (RuntimeError, "RuntimeError: the third wheel is missing"),
+    ],
+)
+def test_a_failing_job_has_one_line_and_a_traceback(kind, told):
+    job = Job("Fail", failing, kind)
     finish(job)
-    assert (job.state, job.error) == ("failed", "ValueError: the third wheel is missing")
+    assert (job.state, job.error) == ("failed", told)
     assert "in failing" in job.details
     job.close()
+
+
+def test_what_can_t_be_started_leaves_no_shared_memory(monkeypatch):
+    made = []
+
+    class Recorded(SharedPicture):
+        def __init__(self):
+            super().__init__()
+            made.append(self.name)
+
+    monkeypatch.setattr(worker, "SharedPicture", Recorded)
+    with pytest.raises(AttributeError, match="pickle"):
+        Job("Local", counting, lambda: None)
+    with pytest.raises(FileNotFoundError):
+        SharedMemory(made[0])
 
 
 def test_a_dead_worker_is_a_failed_job():

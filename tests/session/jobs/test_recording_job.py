@@ -152,7 +152,7 @@ def test_what_goes_wrong_is_one_sentence(session, tmp_path):
     session.recorder.record_to(tmp_path / "file" / "clip")
     job = follow(session)
     assert job.state == "failed"
-    assert session.problem == job.error
+    assert session.problem == f"Record clip failed: {job.error}"
     assert "clip can't be written on after 0 frames: " in session.problem
     session.recorder.change(codec="h264")
     session.recorder.record_to(tmp_path / "file" / "clip")

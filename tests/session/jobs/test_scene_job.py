@@ -4,8 +4,10 @@ import os
 import signal
 from concurrent.futures import wait
 from dataclasses import replace
+from multiprocessing.shared_memory import SharedMemory
 
 import numpy as np
+import psutil
 import pytest
 
 from gsrain_engine.scene.formats.scene_files import read_scene
@@ -30,6 +32,11 @@ def growing(folder, steps):
 def dying(folder, steps):
     yield Progress(0.5, "about to die")
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def failing(folder, steps):
+    yield Progress(0.5, "about to fail")
+    raise ValueError(f"{folder.name} has no {steps}rd wheel")
 
 
 class Growing:
@@ -130,6 +137,40 @@ def test_cancelling_leaves_the_scene_and_no_file(session):
     assert session.scene is shown  # the last snapshot stays, and can be undone
     wait([session._files.submit(lambda: None)])
     assert not task.folder.exists()
+
+
+def test_a_failed_worker_says_why_and_leaves_no_file(session):
+    task = Growing(failing)
+    job = SceneJob(task, session._files)
+    session.start(job)
+    follow(session, job)
+    assert (job.state, job.error) == ("failed", f"{task.folder.name} has no 3rd wheel")
+    assert session.problem == f"Grow failed: {job.error}"
+    wait([session._files.submit(lambda: None)])
+    assert not task.folder.exists()
+
+
+def test_closing_the_session_ends_the_worker_and_leaves_nothing_behind():
+    session, task = Session(small_scene()), Growing()
+    job = SceneJob(task, session._files)
+    session.start(job)
+    follow(session, job, until=lambda: "Grow" in session.history.labels)
+    process, picture = psutil.Process(job._worker._process.pid), job._worker._picture.name
+    session.close()
+    assert job.state == "cancelled"
+    assert not process.is_running()
+    assert not task.folder.exists()
+    with pytest.raises(FileNotFoundError):
+        SharedMemory(picture)
+
+
+def test_closing_the_session_before_the_worker_starts_leaves_no_file():
+    session, task = Session(small_scene()), Growing()
+    job = SceneJob(task, session._files)
+    session.start(job)
+    session.close()
+    assert (job.state, job._worker) == ("cancelled", None)
+    assert task.folder is None or not task.folder.exists()
 
 
 def test_a_disk_that_fails_is_a_failed_job(session, monkeypatch):

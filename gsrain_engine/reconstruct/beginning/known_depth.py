@@ -1,0 +1,36 @@
+"""What is known of each view before a training: where its surfaces are, and where its sky is."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from gsrain_engine.datasets.capture import Capture, View
+
+from .measured_depth import completed_depths, measured_depths
+from .sky_pixels import sky_masks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownDepth:
+    """Pictures of the depth along the view axis, one a view, and of the sky."""
+
+    measured: tuple[Float32[np.ndarray, "h w"], ...]
+    """0 where nothing was measured; without what moves."""
+    completed: tuple[Float32[np.ndarray, "h w"], ...]
+    """0 in the sky, and where nothing can be told."""
+    skies: tuple[Bool[np.ndarray, "h w"], ...]
+
+    def of(self, indices: Iterable[int]) -> "KnownDepth":
+        """Return that of some views."""
+        chosen = list(indices)
+        return KnownDepth(*(tuple(all_[i] for i in chosen) for all_ in (self.measured, self.completed, self.skies)))
+
+
+def known_depth(capture: Capture, views: Sequence[View]) -> KnownDepth:
+    """Find out what the capture tells of some of its views, without distortion."""
+    measured = measured_depths(capture, views)
+    skies = sky_masks(views, measured, capture.up)
+    completed = completed_depths(capture, views, measured, skies)
+    return KnownDepth(tuple(measured), tuple(completed), tuple(skies))

@@ -1,0 +1,18 @@
+"""Whether torch is there, which heavy jobs need and which is an extra: asked without loading it."""
+
+from functools import cache
+from importlib.util import find_spec
+
+HOW_TO_GET_TORCH = "pip install 'gsrain[jobs]'"
+
+
+@cache
+def has_torch() -> bool:
+    """Whether it is installed."""
+    return find_spec("torch") is not None
+
+
+def require_torch(what: str) -> None:
+    """Raise ValueError, which says that `what` needs torch and how to get it, where it is missing."""
+    if not has_torch():
+        raise ValueError(f"{what} needs torch, which is not installed: {HOW_TO_GET_TORCH}")
