@@ -21,7 +21,7 @@ def free(share: float = 0.4, measured: bool = True) -> FreeSpace | None:
     depths = [np.where(np.isfinite(d := world_depth(v.camera)), d, 0).astype(np.float32) for v in views]
     if not measured:
         depths = [np.zeros_like(depth) for depth in depths]
-    return FreeSpace.of([view.camera for view in views], depths, camera_way(views), share)
+    return FreeSpace.of([view.camera for view in views], depths, camera_way(views, 20.0), share)
 
 
 def splats(means: list[list[float]]) -> SplatParameters:

@@ -32,7 +32,7 @@ def from_above(gaussians: Gaussians) -> np.ndarray:
 def test_a_hole_under_the_cameras_is_filled_with_the_road_around_it() -> None:
     road, views = road_with_a_hole(), drive_capture(5).views
     assert from_above(road)[30, 30, 3] < 0.05
-    found = hidden_ground(road, views, UP, 5000, 0.85)
+    found = hidden_ground(road, views, camera_way(views, 20.0), UP, 5000, 0.85)
     assert 100 < len(found) <= 5000
     assert np.abs(found.means[:, 2] - ROAD_Z).max() < 0.05
     middle = from_above(Gaussians.concatenate([road, found]))[20:40, 20:40]
@@ -42,13 +42,13 @@ def test_a_hole_under_the_cameras_is_filled_with_the_road_around_it() -> None:
 
 def test_fewer_are_larger_and_no_road_is_invented() -> None:
     road, views = road_with_a_hole(), drive_capture(5).views
-    few = hidden_ground(road, views, UP, 400, 0.85)
+    few = hidden_ground(road, views, camera_way(views, 20.0), UP, 400, 0.85)
     assert 0 < len(few) <= 400
-    assert len(hidden_ground(road, views, UP, 20, 0.85)) == 0
-    assert few.scales.max() > hidden_ground(road, views, UP, 5000, 0.85).scales.max()
-    assert len(hidden_ground(Gaussians.empty(), views, UP, 5000, 0.85)) == 0
+    assert len(hidden_ground(road, views, camera_way(views, 20.0), UP, 20, 0.85)) == 0
+    assert few.scales.max() > hidden_ground(road, views, camera_way(views, 20.0), UP, 5000, 0.85).scales.max()
+    assert len(hidden_ground(Gaussians.empty(), views, camera_way(views, 20.0), UP, 5000, 0.85)) == 0
     wall = flat_patch((30, -5, ROAD_Z), (0, 10, 0), (0, 0, 6), (0.5, 0.5, 0.5), 0.3)
-    assert len(hidden_ground(wall, views, UP, 5000, 0.85)) == 0
+    assert len(hidden_ground(wall, views, camera_way(views, 20.0), UP, 5000, 0.85)) == 0
 
 
 def long_disc() -> Gaussians:
@@ -63,7 +63,7 @@ def long_disc() -> Gaussians:
 
 
 def test_long_pieces_near_the_cameras_are_cut_and_cover_the_same() -> None:
-    way = camera_way(drive_capture(5).views)
+    way = camera_way(drive_capture(5).views, 20.0)
     cut = shortened(long_disc(), way, 1000)
     assert len(cut) > 20
     distance = np.linalg.norm(cut.means[:, None] - way[None], axis=2).min(axis=1)
@@ -78,13 +78,14 @@ def test_long_pieces_near_the_cameras_are_cut_and_cover_the_same() -> None:
 
 
 def test_the_number_is_bounded() -> None:
-    way = camera_way(drive_capture(5).views)
+    way = camera_way(drive_capture(5).views, 20.0)
     few = shortened(long_disc(), way, 3)
     assert len(few) == 3
     assert few.scales[:2].max() <= LONGEST * 1.81
 
 
 def test_the_way_goes_on_between_pictures() -> None:
-    way = camera_way(drive_capture(3, step_m=2.0).views)
-    assert sorted(way[:, 0].tolist()) == [0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5, 4]
-    assert len(camera_way(drive_capture(3, step_m=0.0).views)) == 3
+    drive = drive_capture(3, step_m=2.0).views
+    assert sorted(camera_way(drive, 20.0)[:, 0].tolist()) == np.arange(0, 4.01, 0.25).tolist()
+    assert len(camera_way(drive, 3.0)) == 3  # they may have gone round something
+    assert len(camera_way(drive_capture(3, step_m=0.0).views, 20.0)) == 3

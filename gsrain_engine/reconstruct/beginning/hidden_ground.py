@@ -10,7 +10,6 @@ from gsrain_engine.datasets.capture import View
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.rotations import quaternions_from_matrices
 
-from .camera_way import camera_way
 from .road_plane import road_drop
 
 _REACH = 3.5
@@ -28,13 +27,19 @@ _LEAST_ROAD = 100
 
 
 def hidden_ground(
-    surface: Gaussians, views: Sequence[View], up: tuple[float, float, float], most: int, opacity: float
+    surface: Gaussians,
+    views: Sequence[View],
+    way: Float64[np.ndarray, "p 3"],
+    up: tuple[float, float, float],
+    most: int,
+    opacity: float,
 ) -> Gaussians:
     """Discs where the road under and around the cameras has holes, in the height and colour of the road next to them.
 
     Args:
         surface: Of the static scene, in the capture's world; the road is what lies flat and low in it.
         views: Whose cameras drove over that road.
+        way: Where the cameras went, see `camera_way`.
         up: Upward direction.
         most: Number of discs; where that is too few, they are larger, and where they are too large there are none.
         opacity: Of the discs.
@@ -46,7 +51,7 @@ def hidden_ground(
     drop = road_drop(surface.means.astype(np.float64), views, up) if len(surface) else None
     if drop is None:
         return surface.take(slice(0, 0))
-    way = camera_way(views) @ frame.T
+    way = way @ frame.T
     places = surface.means.astype(np.float64) @ frame.T
     distance, nearest = KDTree(way[:, :2]).query(places[:, :2])
     is_road = (distance < 3 * _REACH * drop) & (np.abs(way[nearest, 2] - drop - places[:, 2]) < _FLAT * drop)

@@ -74,8 +74,9 @@ def initial_gaussians(
         if stride > max(view.camera.width for view in views):  # not even one for each view
             raise ValueError(f"a budget of {budget} Gaussians is too small for {len(views)} views")
     gaussians = _without_holes(surfels, views, depths, stride, round((1 - _FOR_PIECES) * budget))
-    ground = hidden_ground(gaussians, views, capture.up, round(_FOR_GROUND * budget), SURFACE_OPACITY)
-    return shortened(Gaussians.concatenate([gaussians, ground]), camera_way(views), budget)
+    way = camera_way(views, known.usual)
+    ground = hidden_ground(gaussians, views, way, capture.up, round(_FOR_GROUND * budget), SURFACE_OPACITY)
+    return shortened(Gaussians.concatenate([gaussians, ground]), way, budget)
 
 
 def _hidden_by_movers(view: View, unmasked: View) -> View | None:

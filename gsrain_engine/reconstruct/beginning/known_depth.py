@@ -22,6 +22,12 @@ class KnownDepth:
     """0 in the sky, and where nothing can be told."""
     skies: tuple[Bool[np.ndarray, "h w"], ...]
 
+    @property
+    def usual(self) -> float:
+        """Median of what was measured, 0 where nothing was."""
+        known = np.concatenate([np.zeros(0, np.float32), *(depth[depth > 0] for depth in self.measured)])
+        return float(np.median(known)) if len(known) else 0.0
+
     def of(self, indices: Iterable[int]) -> "KnownDepth":
         """Return that of some views."""
         chosen = list(indices)

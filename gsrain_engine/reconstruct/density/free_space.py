@@ -23,7 +23,7 @@ _ROWS, _COLUMNS = 48, 80
 """Cells that each picture is divided into."""
 _WINDOW = 5
 """The nearest point in so many cells, each way, limits the free room; where there is none, none is known to be free."""
-_NEAR_SHARE = 0.02
+_NEAR_SHARE = 0.03
 """Free all around the way of the cameras, over the median depth: less than they are above the road."""
 _LEEWAY = 3.0
 """So many times longer than at first Gaussians may become: what is far away and even is drawn well by large ones."""

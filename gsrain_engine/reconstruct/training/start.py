@@ -56,7 +56,7 @@ class StartedTraining:
 def start_training(
     capture: Capture, settings: TrainingSettings, held_out: Sequence[int], lpips: Path | None = None
 ) -> Generator[Progress, None, StartedTraining]:
-    """Make everything ready. Nothing but the learned views decides what the model starts from."""
+    """Make everything ready. Held-out views help to tell what colour the sky has and where the own body is; no more."""
     device = _device(settings.device)
     yield Progress(0.0, f"Reading {len(capture)} pictures")
     views = prepared_views(capture, settings.width_px)
@@ -82,8 +82,9 @@ def start_training(
         settings = msgspec.structs.replace(settings, transients=0.0)
     schedule = Schedule(settings, camera_extent([views[i] for i in learned]))
     control = _control(settings, schedule)
-    way = camera_way([views[i] for i in learned])
-    free = FreeSpace.of([views[i].camera for i in learned], known.of(learned).measured, way, settings.free_space)
+    own, own_views = known.of(learned), [views[i] for i in learned]
+    way = camera_way(own_views, own.usual)
+    free = FreeSpace.of([view.camera for view in own_views], own.measured, way, settings.free_space)
     if free is not None and settings.free_space:
         control = ClearedDensity(control, free, settings.steps)
     training = Training(model, [ready[i] for i in learned], schedule, control, device)
