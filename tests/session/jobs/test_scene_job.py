@@ -4,6 +4,7 @@ import os
 import signal
 from concurrent.futures import wait
 from dataclasses import replace
+from multiprocessing.connection import wait as wait_for
 from multiprocessing.shared_memory import SharedMemory
 
 import numpy as np
@@ -71,8 +72,13 @@ def session():
 
 
 def follow(session, job, until=lambda: False):
-    """Poll until the job has ended, or something is so, and take in what it stages."""
+    """Poll until the job has ended, or something is so, and take in what it stages; wait where there is nothing new."""
     while job.state == "running" and not until():
+        pending = [each for each in (job._preparing, job._snapshot, job._loading) if each is not None]
+        if pending:
+            wait(pending, timeout=60)
+        elif job._worker is not None:
+            wait_for([job._worker.waitable], timeout=60)
         session.update(0.0)
         session.swap_in()
 
