@@ -57,7 +57,7 @@ from .view.view_options import ViewOptions
 logger = logging.getLogger("gsrain")
 
 _VIEW_SIZE = (960, 640)  # shape of the picture that home cameras are chosen for
-_FOR_THREADS_S = 0.001  # of a frame while threads work: they wake too late for an interpreter that is free for an instant
+_FOR_THREADS_S = 0.001  # of a frame: an interpreter that is free for an instant is taken again before they wake
 
 WindowBackend = Literal["auto", "opengl", "cpu"]
 
