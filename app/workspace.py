@@ -1,6 +1,7 @@
 """A session in the window: the live view, the panels, the menus. Importing this loads the engine."""
 
 import logging
+import time
 
 import moderngl
 from imgui_bundle import hello_imgui, imgui
@@ -32,6 +33,9 @@ _SPACES = {
     "right bottom": "RightBottomSpace",
     "bottom": "BottomSpace",
 }
+_FOR_THREADS_S = 0.001
+"""Of a frame while threads work: an interpreter that is free for an instant is taken again before they wake."""
+
 _WAITING_FPS = 30.0
 """Enough for a bar that moves: what is waited for needs the processor more."""
 
@@ -81,6 +85,8 @@ class Workspace:
             apply_style(self._style)
         session = self.session
         session.update(self._pace.step(imgui.get_io().delta_time))
+        if session.is_working:
+            time.sleep(_FOR_THREADS_S)
         self._previews.update(session)
         self._captures.update(session)
         idling = hello_imgui.get_runner_params().fps_idling

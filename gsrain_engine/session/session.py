@@ -1,7 +1,6 @@
 """The editor without a window: panels read it and call its methods, the live view draws what it says."""
 
 import logging
-import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -57,7 +56,6 @@ from .view.view_options import ViewOptions
 logger = logging.getLogger("gsrain")
 
 _VIEW_SIZE = (960, 640)  # shape of the picture that home cameras are chosen for
-_FOR_THREADS_S = 0.001  # of a frame: an interpreter that is free for an instant is taken again before they wake
 
 WindowBackend = Literal["auto", "opengl", "cpu"]
 
@@ -266,8 +264,6 @@ class Session(EditedDocument):
             if job.error is not None:
                 self.problem = f"{job.title} failed: {job.error}"
                 logger.error("%s", self.problem)
-        if self.is_working:
-            time.sleep(_FOR_THREADS_S)
 
     @property
     def wetness_now(self) -> float:

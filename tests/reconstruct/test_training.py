@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("torch")
 
 from gsrain_engine.datasets.capture import CaptureError
+from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.reconstruct.training.checkpoints import CheckpointError
 from gsrain_engine.reconstruct.training.reconstruction import Reconstruction
 from gsrain_engine.reconstruct.training.settings import TrainingSettings, load_settings
@@ -154,3 +155,16 @@ def test_a_capture_without_poses_is_refused(tmp_path: Path) -> None:
 def test_a_task_travels_to_a_worker(tmp_path):
     task = task_of(tmp_path, density="mcmc")
     assert pickle.loads(pickle.dumps(task)) == task
+
+
+def test_a_picture_that_only_decoding_finds_broken_is_named_and_left_out(tmp_path: Path) -> None:
+    for _ in write_views(tmp_path, small_capture()):
+        pass
+    first = sorted(tmp_path.glob("*m.png"))[0]
+    content = bytearray(first.read_bytes())
+    middle = len(content) // 2
+    content[middle : middle + 200] = bytes(200)
+    first.write_bytes(content)
+    capture = task_of(tmp_path).read()
+    assert len(capture) == 3
+    assert any(first.stem in problem for problem in capture.problems)

@@ -7,6 +7,7 @@ import msgspec
 
 from gsrain_engine.datasets.capture import Capture, CaptureError
 from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.datasets.readable_pictures import readable_pictures
 
 from ..beginning.moving_masks import read_camera_masks, with_camera_masks
 from .held_out import held_out_indices
@@ -41,7 +42,7 @@ class ReconstructionTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
     def read(self) -> Capture:
         """Read the capture; raises `CaptureError`, also where there is nothing to learn from."""
-        capture = open_capture(self.capture)
+        capture = readable_pictures(open_capture(self.capture))
         if self.images is not None:
             capture = with_images(capture, self.images)
         if self.masks is not None:
