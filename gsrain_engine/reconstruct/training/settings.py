@@ -35,7 +35,7 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     steps: Annotated[
         int, Meta(ge=1, le=1_000_000, title="Steps", description="How often one view is rendered and learned from.")
-    ] = 1500
+    ] = 2000
     width_px: Annotated[
         int,
         Meta(
