@@ -1,0 +1,158 @@
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsrain_engine.appearance.finetuning.pictures.open_pictures import open_pictures
+from gsrain_engine.appearance.finetuning.pictures.settings import PictureSettings, PictureSource
+from gsrain_engine.appearance.finetuning.pictures.weather import is_daylight, weather_of
+from gsrain_engine.datasets.capture import CaptureError
+
+INTRINSICS = "K_cam:\n16 0 8\n0 16 6\n0 0 1\ndistortion:\n0 0 0 0 0\n"
+
+
+def save(file, seed=0, size=(16, 12)):
+    file.parent.mkdir(parents=True, exist_ok=True)
+    pixels = np.random.default_rng(seed).integers(0, 256, (size[1], size[0], 3), dtype=np.uint8)
+    Image.fromarray(pixels).save(file, quality=95)
+
+
+def name_of(number):
+    return f"{number:08x}-{number * 7919 % 2**32:08x}"
+
+
+@pytest.fixture(scope="module")
+def bdd100k(tmp_path_factory):
+    """150 clear and 145 rainy frames by day, and some that nobody wants."""
+    folder = tmp_path_factory.mktemp("bdd100k")
+    weathers = ["clear"] * 150 + ["rainy"] * 145 + ["snowy"] * 3 + ["undefined"] * 2
+    labels = []
+    for number, weather in enumerate(weathers):
+        save(folder / "images" / f"{name_of(number)}.jpg", number)
+        labels.append({"name": f"{name_of(number)}.jpg", "attributes": {"weather": weather, "timeofday": "daytime"}})
+    for row in labels[:4]:
+        row["attributes"]["timeofday"] = "night"
+    (folder / "det_train.json").write_text(json.dumps(labels))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def rainsense(tmp_path_factory):
+    """Four sequences of 12 frames: one dry, three in rain."""
+    folder = tmp_path_factory.mktemp("rainsense")
+    for case, intensity in enumerate((0.0, 1.376, 4.75, 9.245)):
+        place = folder / f"rain_{case}" / "scene_0" / "case_000"
+        count = 12 if case else 30
+        for number in range(count):
+            save(place / "image" / f"image_{number:03d}.jpg", 100 * case + number)
+        (place / "context").mkdir()
+        (place / "context" / "camera_intrinsics.txt").write_text(INTRINSICS)
+        (place / "context" / "rainfall_intensity.txt").write_text(f"{intensity}\n")
+        rows = "".join(f"{0.1 * number:.3f},{number}\n" for number in range(count))
+        (place / "timestamps.txt").write_text(f"timestamps,index\n{rows}")
+    return folder
+
+
+def settings(clear, rainy, **changes):
+    def source(path, weather, count):
+        return PictureSource(path=str(path), weather=weather, count=count)
+
+    values = {"width_px": 16, "height_px": 16, "guide": "none"} | changes
+    return PictureSettings(
+        clear=tuple(source(path, "clear", count) for path, count in clear),
+        rainy=tuple(source(path, "rainy", count) for path, count in rainy),
+        **values,
+    )
+
+
+def test_composition_of_the_papers_table(bdd100k, rainsense):
+    both = ((rainsense, 22), (bdd100k, 139))
+    split = open_pictures(settings(both, both))
+    assert [(look, count) for _, look, count, _ in split.table] == [
+        ("clear", 22), ("clear", 139), ("rainy", 22), ("rainy", 139),
+    ]  # fmt: skip
+    for train, test in ((split.train.source, split.test.source), (split.train.target, split.test.target)):
+        assert (len(train), len(test)) == (129, 32)
+        assert not {picture.name for picture in train} & {picture.name for picture in test}
+        assert len({picture.name for picture in train + test}) == 161
+
+
+def test_rainy_pictures_come_from_all_sequences_alike(rainsense):
+    split = open_pictures(settings([(rainsense, 22)], [(rainsense, 22)], test_share=0.0))
+    cases = [picture.view.sensor for picture in split.train.target]
+    assert sorted(cases.count(case) for case in set(cases)) == [7, 7, 8]
+    assert {picture.view.attributes["rain_mm_h"] for picture in split.train.target} == {"1.376", "4.75", "9.245"}
+
+
+def test_seed_alone_decides_the_split(bdd100k):
+    def tested(seed):
+        split = open_pictures(settings([(bdd100k, 20)], [(bdd100k, 20)], seed=seed))
+        return {picture.name for picture in split.test.source}
+
+    assert tested(3) == tested(3) != tested(4)
+
+
+def test_night_and_other_weather_are_left_out(bdd100k):
+    split = open_pictures(settings([(bdd100k, None)], [(bdd100k, None)], test_share=0.0))
+    assert (len(split.train.source), len(split.train.target)) == (146, 145)
+
+
+def test_pictures_are_framed(tmp_path):
+    stripes = np.zeros((20, 40, 3), np.uint8)
+    stripes[:, 10:30, 0] = 255
+    for look in ("clear", "rainy"):
+        (tmp_path / look).mkdir()
+        Image.fromarray(stripes).save(tmp_path / look / "stripes.png")
+    sources = {look: (PictureSource(path=str(tmp_path / look)),) for look in ("clear", "rainy")}
+    size = {"width_px": 16, "height_px": 16, "guide": "none", "test_share": 0.0}
+    stretched, cropped = (
+        open_pictures(PictureSettings(**sources, **size, framing=framing)).train.source[0].read()[0]
+        for framing in ("stretch", "crop")
+    )
+    assert stretched.shape == cropped.shape == (16, 16, 3)
+    assert stretched.dtype == np.float32
+    np.testing.assert_allclose(stretched[..., 0].mean(), 0.5, atol=0.01)
+    np.testing.assert_allclose(cropped[..., 0], 1.0, atol=0.01)
+
+
+def test_broken_picture_is_named_and_left_out(tmp_path):
+    for look in ("clear", "rainy"):
+        for number in range(3):
+            save(tmp_path / look / f"{number}.png", number)
+    whole = (tmp_path / "clear" / "1.png").read_bytes()
+    (tmp_path / "clear" / "1.png").write_bytes(whole[: len(whole) // 2])
+    sources = {look: (PictureSource(path=str(tmp_path / look)),) for look in ("clear", "rainy")}
+    split = open_pictures(PictureSettings(**sources, guide="none", test_share=0.0))
+    assert len(split.train.source) == 2
+    assert any("1" in problem and "left out" in problem for problem in split.problems)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"count": 1000}, "count 1000 is more than the"),
+        ({"path": "plain", "weather": "rainy"}, "nothing says what the weather is"),
+        ({"weather": "clear", "path": "night"}, "has no clear picture by day"),
+    ],
+)
+def test_what_is_missing_is_said_in_a_sentence(bdd100k, tmp_path, changes, sentence):
+    save(tmp_path / "plain" / "a.png")
+    save(tmp_path / "night" / "images" / f"{name_of(1)}.jpg")
+    rows = [{"name": f"{name_of(1)}.jpg", "attributes": {"weather": "clear", "timeofday": "night"}}]
+    (tmp_path / "night" / "det_val.json").write_text(json.dumps(rows))
+    place = {"plain": tmp_path / "plain", "night": tmp_path / "night"}.get(changes.get("path"), bdd100k)
+    source = PictureSource(path=str(place), **{key: value for key, value in changes.items() if key != "path"})
+    with pytest.raises(CaptureError, match=sentence):
+        open_pictures(PictureSettings(clear=(source,), rainy=(PictureSource(path=str(bdd100k)),), guide="none"))
+
+
+def test_words_for_weather_and_light():
+    assert weather_of({"weather": "partly cloudy"}) == "clear"
+    assert weather_of({"weather": "rainy"}) == "rainy"
+    assert weather_of({"weather": "snowy"}) == "other"
+    assert weather_of({"weather": "undefined"}) is weather_of({}) is None
+    assert weather_of({"rain_mm_h": "0"}) == "clear"
+    assert weather_of({"rain_mm_h": "1.376"}) == "rainy"
+    assert is_daylight({"timeofday": "daytime"})
+    assert not is_daylight({"timeofday": "dawn/dusk"})
