@@ -16,7 +16,6 @@ from app.window import Window
 from gsrain_engine.kernel_cache import use_kernel_cache
 from gsrain_engine.rain.weather import passing_shower
 from gsrain_engine.session.files.open_scene import open_scene
-from gsrain_engine.session.jobs.rainy_look_job import make_rainy_look
 from gsrain_engine.session.session import Session
 from gsrain_engine.session.timeline.path_files import path_from_drive
 from ui.panels.table import PANELS
@@ -145,7 +144,7 @@ _GESTURES: dict[str, tuple[bool, tuple[tuple[float, float], ...]]] = {
 def picture_pages(camera: Photographer) -> None:
     """The window as a whole in a shower, the command palette, the keyboard page."""
     session = camera.session
-    make_rainy_look(session)
+    session.rainy.make(session)
     while session.running_jobs or session.staged is not None:
         camera.frames(1)
     session.set_weather("A shower that passes", passing_shower(duration_s=12.0, peak_mm_h=13.0))
@@ -175,7 +174,7 @@ def picture_wet(camera: Photographer) -> None:
     camera.ctx.window_focus("//View")
     camera.take("wet_clear", "View", _TOOL_WIDTH)
     session.set_rain("12 mm/h", msgspec.structs.replace(session.rain, intensity_mm_h=12.0))
-    make_rainy_look(session)
+    session.rainy.make(session)
     while session.running_jobs or session.staged is not None:
         camera.frames(1)
     camera.frames(20)
