@@ -27,16 +27,24 @@ COMMANDS = {
     "calibrate": "Fit a rain calibration to disdrometer files: drop numbers, sizes and speeds by intensity.",
     "disdrometer": "Hold a virtual disdrometer into the simulated rain, and compare with what was asked for.",
     "reconstruct": "Fit Gaussians to a capture: images with cameras, and lidar or COLMAP points where it has them.",
+    "transfer": "Make clear views of a scene, or the pictures of a capture, look rainy.",
     "recolor": "Re-optimize a scene's colours to pictures of it in another look; its geometry stays.",
+    "train-transfer": "Fine-tune the transfer CycleGAN-Turbo on clear and rainy pictures (LoRA).",
     "doctor": "Look for everything that GSRAIN can use, and say what is missing.",
 }
 for name, summary in COMMANDS.items():
-    app.command(f"app.commands.{name}:{name}", name=name, help=summary)
+    function = name.replace("-", "_")
+    app.command(f"app.commands.{function}:{function}", name=name, help=summary)
 benchmarks = App(name="bench", help="Time this machine.")
 benchmarks.command("app.commands.bench:render", name="render", help="Time frames of fixed scenes.")
 app.command(benchmarks)
 evaluations = App(name="evaluate", help="Compare what is made with what cameras see.")
 evaluations.command("app.commands.evaluate:streaks", name="streaks", help="Rain streaks: real ones, and ours.")
+evaluations.command(
+    "app.commands.consistency:consistency",
+    name="consistency",
+    help="Whether neighbouring views agree with each other, before a transfer and after it.",
+)
 app.command(evaluations)
 
 

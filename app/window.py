@@ -90,6 +90,8 @@ class Window:
         callbacks.show_menus = lambda: self.workspace.draw_menus() if self.workspace else None
         callbacks.show_status = lambda: self.workspace.draw_status() if self.workspace else None
         callbacks.before_exit = self._end
+        # ImGui smooths its own edges: more samples a pixel would only slow down what the processor has to paint.
+        parameters.renderer_backend_options.open_gl_options = hello_imgui.OpenGlOptions(anti_aliasing_samples=0)
         parameters.fps_idling.enable_idling = False
         parameters.fps_idling.fps_idle = 0.3  # a frame costs 80 ms where the processor paints it; events wake at once
         parameters.fps_idling.fps_max = 30.0

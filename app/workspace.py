@@ -9,6 +9,7 @@ from imgui_bundle import hello_imgui, imgui
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.session.capture.capture_textures import CaptureTextures
 from gsrain_engine.session.jobs.job_previews import JobPreviews
+from gsrain_engine.session.picture.kept_texture import KeptTexture
 from gsrain_engine.session.picture.live_view import LiveView
 from gsrain_engine.session.session import Session, WindowBackend
 from gsrain_engine.session.timeline.clock import Pace
@@ -36,6 +37,12 @@ _SPACES = {
 _FOR_THREADS_S = 0.001
 """Of a frame while threads work: an interpreter that is free for an instant is taken again before they wake."""
 
+_IDLE_FPS = 0.3
+"""A frame costs 80 ms where the processor paints it; events wake at once."""
+
+_WATCHING_FPS = 10.0
+"""While workers work and nobody touches anything: enough for a bar that grows."""
+
 _WAITING_FPS = 30.0
 """Enough for a bar that moves: what is waited for needs the processor more."""
 
@@ -55,6 +62,7 @@ class Workspace:
         self.session = session
         self.view = LiveView(context, session, backend)
         self._previews = JobPreviews(context)
+        self._rainy = KeptTexture(context)
         self._captures = CaptureTextures(context)
         self._palette = CommandPalette()
         self._pace = Pace()
@@ -88,9 +96,13 @@ class Workspace:
         if session.is_working:
             time.sleep(_FOR_THREADS_S)
         self._previews.update(session)
+        previewed = session.rainy.previewed
+        session.rainy.texture = self._rainy.show(None if previewed is None else previewed.pixels)
         self._captures.update(session)
         idling = hello_imgui.get_runner_params().fps_idling
-        resting = not (session.clock.playing or session.is_working or session.budget.is_settling)
+        # What a worker says is looked at now and then: frames would take the processor from it.
+        idling.fps_idle = _WATCHING_FPS if session.running_jobs else _IDLE_FPS
+        resting = not (session.clock.playing or session.is_bringing_in or session.budget.is_settling)
         idling.enable_idling = resting and self.view.is_settled and not self.view.is_catching_up
         idling.fps_max = 0.0 if self.view.is_settled and session.busy is None else _WAITING_FPS
         if session.is_leaving:

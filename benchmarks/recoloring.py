@@ -85,24 +85,22 @@ def street(*, mesh: bool = False) -> tuple[Scene, list[TargetView], list[TargetV
 
 
 def transferred(scene_path: Path, capture_path: Path) -> tuple[Scene, list[TargetView], list[TargetView]]:
-    """Return a reconstructed scene and its photographs in a plain wet look; every seventh is kept apart."""
-    from gsrain_engine.appearance.wet_preview import wet_preview
+    """Return a reconstructed scene and its photographs in the wet look; every seventh is kept apart."""
+    from gsrain_engine.appearance.views.placed_camera import PlacedCamera
+    from gsrain_engine.appearance.views.scene_views import scene_view
+    from gsrain_engine.appearance.wet.scene_surroundings import SceneSurroundings
+    from gsrain_engine.appearance.wet.settings import WetSettings
+    from gsrain_engine.appearance.wet.transfer import WetTransfer
     from gsrain_engine.datasets.open_capture import open_capture
-    from gsrain_engine.raster.rasterizer import expected
-    from gsrain_engine.reconstruct.recoloring.ground_height import ground_height_m
-    from gsrain_engine.reconstruct.recoloring.scene_members import scene_members
-    from gsrain_engine.reconstruct.recoloring.views import seen_view, target_views, upness
+    from gsrain_engine.reconstruct.recoloring.views import target_views
     from gsrain_engine.scene.formats import read_scene
 
     scene = replace(read_scene(scene_path), actors=())
-    ground_m, members = ground_height_m(scene), scene_members(scene)
-    views: list[TargetView] = []
-    for target in target_views(scene, open_capture(capture_path), SIZE[0]):
-        seen = seen_view(scene, members, target, ground_m)
-        sky = expected(np.ascontiguousarray(seen.surfaces[..., 0]), seen.alpha)
-        up = upness(seen.depth, target.camera)
-        wet = wet_preview(target.image, seen.depth, up, sky, target.camera, ground_m=ground_m)
-        views.append(replace(target, image=wet))
+    targets = list(target_views(scene, open_capture(capture_path), SIZE[0]))
+    placed = [PlacedCamera(target.name, target.camera, target.time_s) for target in targets]
+    clear = [replace(scene_view(scene, p), image=target.image) for p, target in zip(placed, targets, strict=True)]
+    rainy = WetTransfer(WetSettings(), SceneSurroundings(scene)).transferred(clear)
+    views = [replace(target, image=each.image) for target, each in zip(targets, rainy, strict=True)]
     kept = set(range(3, len(views), 7))
     taught, held_out = ([view for i, view in enumerate(views) if (i in kept) == out] for out in (False, True))
     return scene, taught, held_out

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from multiprocessing.connection import wait
 
 import numpy as np
 import pytest
@@ -57,8 +58,15 @@ class Driver:
         for _ in range(most):
             if condition():
                 return
+            self.let_workers_work()
             self.ctx.yield_()
         raise AssertionError("waited in vain")
+
+    def let_workers_work(self):
+        """Draw no frames that would only take the processor from a worker which has nothing to say yet."""
+        workers = [getattr(job, "_worker", None) for job in self.session.running_jobs]
+        if heard := [worker.waitable for worker in workers if worker is not None]:
+            wait(heard, timeout=0.1)
 
     def click(self, item):
         self.ctx.window_focus("//" + item.split("/")[2])  # bring its tab to the front

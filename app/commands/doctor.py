@@ -30,6 +30,13 @@ def doctor(*, json: JsonFile = None) -> int:
         _cuda(),
         _gsplat(),
         find_lpips(),
+        _package("diffusers", "gsrain transfer --method cyclegan-turbo", "diffusion"),
+        _package("transformers", "the text encoder of cyclegan-turbo", "diffusion"),
+        _package("peft", "gsrain train-transfer", "diffusion"),
+        find_base_model(),
+        find_text_encoder(),
+        find_transfer_weights(),
+        find_clip_model(),
         _package("pyarrow", "Waymo Perception v2 (Parquet tables)", "waymo"),
         _package("protobuf", "Waymo Perception v1 (TFRecord files)", "waymo"),
     ]
@@ -153,3 +160,56 @@ def find_lpips() -> Finding:
     except FileNotFoundError:
         return Finding(name, False, missing)
     return Finding(name, False, f"only AlexNet at {places}, used where --lpips names its file; {missing}")
+
+
+def find_base_model() -> Finding:
+    """Look for SD-Turbo, which cyclegan-turbo builds on, in diffusers' layout: whole, and of the right architecture."""
+    from gsrain_engine.appearance.cyclegan_turbo.architecture import check_base, sd_turbo
+    from gsrain_engine.appearance.cyclegan_turbo.places import check_complete, find_base
+
+    def folder() -> str:
+        found = find_base()
+        check_base(found, sd_turbo())
+        check_complete(found)
+        return str(found)
+
+    return _tried("SD-Turbo (base of cyclegan-turbo)", folder, "")
+
+
+def find_text_encoder() -> Finding:
+    """Look for what makes captions into numbers; needed once, for what it said is kept."""
+    from gsrain_engine.appearance.cyclegan_turbo.places import (
+        base_places,
+        captions_file,
+        is_base,
+        text_encoder_folder,
+    )
+
+    def place() -> str:
+        if captions_file().is_file():
+            return f"not needed: its captions are kept in {captions_file()}"
+        bases = [base for base in base_places() if is_base(base)]
+        folder = text_encoder_folder(bases[0]) if bases else None
+        if folder is None:
+            raise FileNotFoundError("comes with SD-Turbo (text_encoder, tokenizer); needed once, to encode captions")
+        return str(folder)
+
+    return _tried("text encoder of SD-Turbo", place, "")
+
+
+def find_transfer_weights() -> Finding:
+    """Look for weights that make SD-Turbo a transfer."""
+    from gsrain_engine.appearance.cyclegan_turbo.places import find_weights
+
+    def file() -> str:
+        found = find_weights()
+        return f"{found} ({found.stat().st_size / 1e6:,.0f} MB)"
+
+    return _tried("transfer weights (of cyclegan-turbo)", file, "")
+
+
+def find_clip_model() -> Finding:
+    """Look for the vision model by which the discriminators of a training see."""
+    from gsrain_engine.appearance.finetuning.clip_place import find_clip
+
+    return _tried("CLIP ViT-B/32 (for gsrain train-transfer)", lambda: str(find_clip()), "")

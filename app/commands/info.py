@@ -10,14 +10,14 @@ from rich.table import Table
 
 from gsrain_engine.datasets.open_capture import capture_format
 from gsrain_engine.scene.bounds import bounds
-from gsrain_engine.scene.formats.gaussian_files import format_of
 from gsrain_engine.scene.members import Actor, Layer
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.files.open_scene import is_built_in, open_scene, scene_folder_of
+from gsrain_engine.session.files.open_scene import open_scene
 
 from .arguments import JsonFile, write_numbers
 from .capture_info import capture_info
 from .marked import marked, marked_text
+from .sources import names_scene
 
 
 def info(
@@ -31,12 +31,12 @@ def info(
     json: JsonFile = None,
 ) -> None:
     """Print what a scene holds (counts, bounds, harmonics, memory) or a capture (cameras, lidar, boxes, problems)."""
-    if not _is_scene(scene) and capture_format(scene) is not None:
+    if not names_scene(scene) and capture_format(scene) is not None:
         write_numbers(json, capture_info(Path(scene), check, overlay))
         return
     if check or overlay is not None:
         raise ValueError(f"{scene}: --check and --overlay are for captures, and this is none that is known")
-    if not _is_scene(scene) and Path(scene).is_dir():
+    if not names_scene(scene) and Path(scene).is_dir():
         raise ValueError(f"{scene}: neither a scene (scene.json, or meta.json of SOG) nor a capture that is known")
     opened = open_scene(scene)
     rows = [_member(each) for each in opened.members]
@@ -52,17 +52,6 @@ def info(
     }
     _print(opened, numbers)
     write_numbers(json, numbers)
-
-
-def _is_scene(name: str) -> bool:
-    """Whether a name is that of a scene: what could be both, such as a folder with scene.json and pictures, is one."""
-    path = Path(name)
-    return (
-        is_built_in(name)
-        or scene_folder_of(path) is not None
-        or format_of(path) is not None
-        or (path / "meta.json").is_file()
-    )
 
 
 def _member(member: Layer | Actor) -> dict[str, Any]:

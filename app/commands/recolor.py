@@ -93,7 +93,7 @@ def _options(options: dict[str, Any], colors: dict[str, Any], *, replace_clear: 
 def _pictures(images: Path, capture: Path | None) -> Capture:
     if capture is None:
         return open_capture(images)
-    from gsrain_engine.reconstruct.training.images import with_images
+    from gsrain_engine.datasets.other_pictures import with_images
 
     return with_images(open_capture(capture), images)
 

@@ -23,12 +23,11 @@ from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_files import read_camera_path
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.files.open_scene import open_to_draw
-from gsrain_engine.session.jobs.rainy_look import rainy_scene
 from gsrain_engine.session.jobs.recorded_project import own_path
 from gsrain_engine.session.view.home_camera import front_camera, home_camera
 
 from .arguments import JsonFile, parse_size, write_numbers
-from .progress import progress_bar
+from .progress import followed, progress_bar
 from .render_options import RainOptions, RecordingOptions
 from .rendered_weather import rendered_weather
 
@@ -163,12 +162,10 @@ def _oriented(scene: Scene, up: str | None, metres_per_unit: float | None) -> Sc
 
 
 def _made_rainy(scene: Scene) -> Scene:
-    with progress_bar("Wet look", 1) as advance:
-        last = 0.0
-        for progress, changed in rainy_scene(scene):
-            advance(progress.fraction - last)
-            last, scene = progress.fraction, changed
-    return scene
+    # Kernels take a second to load: only where they are needed.
+    from gsrain_engine.reconstruct.wet_scene import wet_scene
+
+    return followed(wet_scene(scene))
 
 
 def _viewpoint(

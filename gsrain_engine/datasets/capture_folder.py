@@ -2,11 +2,12 @@
 
 NAME.png is the picture, NAME.depth.npy depth in metres (float32), NAME.normals.npy world normals (float16),
 NAME.labels.png class numbers, NAME.mask.png and NAME.sky.png are white where True. cameras.json holds for each view its
-name, time and camera, and its sensor, lens and attributes where it has them. The world has metres and z up.
+name, time and camera, and its sensor, lens and attributes where it has them. The world has metres and z up, unless
+world.json says otherwise: {"up": [x, y, z], "is_metric": false}.
 """
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from .files.array_file import read_floats
 from .files.json_file import read_json_rows
 from .files.picture_file import picture_size, read_color, read_labels, read_mask
 
-CAMERAS = "cameras.json"
+CAMERAS, WORLD = "cameras.json", "world.json"
 
 _OTHER_PIXELS: dict[str, tuple[str, Callable[[Path], np.ndarray]]] = {
     "depth": ("depth.npy", read_floats),
@@ -36,21 +37,31 @@ _OTHER_PIXELS: dict[str, tuple[str, Callable[[Path], np.ndarray]]] = {
 def write_views(folder: Path, views: Iterable[View]) -> Iterator[View]:
     """Write views as they come, and yield each when it is on the disk; the cameras' file comes last."""
     folder.mkdir(parents=True, exist_ok=True)
-    cameras: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
     for view in views:
-        Image.fromarray(view.image).save(folder / f"{view.name}.png")
-        if view.depth is not None:
-            np.save(folder / f"{view.name}.depth.npy", view.depth, allow_pickle=False)
-        if view.normals is not None:
-            np.save(folder / f"{view.name}.normals.npy", view.normals.astype(np.float16), allow_pickle=False)
-        if view.labels is not None:
-            Image.fromarray(view.labels).save(folder / f"{view.name}.labels.png")
-        for name, flags in (("mask", view.mask), ("sky", view.sky)):
-            if flags is not None:
-                Image.fromarray(flags.astype(np.uint8) * 255).save(folder / f"{view.name}.{name}.png")
-        cameras.append(_record(view))
+        rows.append(write_view(folder, view))
         yield view
-    (folder / CAMERAS).write_text(json.dumps(cameras, indent=1) + "\n", encoding="utf-8")
+    write_cameras(folder, rows)
+
+
+def write_view(folder: Path, view: View) -> dict[str, Any]:
+    """Write the pixels of one view; returns its row of the cameras' file."""
+    Image.fromarray(view.image).save(folder / f"{view.name}.png")
+    if view.depth is not None:
+        np.save(folder / f"{view.name}.depth.npy", view.depth, allow_pickle=False)
+    if view.normals is not None:
+        np.save(folder / f"{view.name}.normals.npy", view.normals.astype(np.float16), allow_pickle=False)
+    if view.labels is not None:
+        Image.fromarray(view.labels).save(folder / f"{view.name}.labels.png")
+    for name, flags in (("mask", view.mask), ("sky", view.sky)):
+        if flags is not None:
+            Image.fromarray(flags.astype(np.uint8) * 255).save(folder / f"{view.name}.{name}.png")
+    return _record(view)
+
+
+def write_cameras(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write the cameras' file from the rows of all views: from then on the folder is a capture."""
+    (folder / CAMERAS).write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 def recognizes_capture_folder(path: Path) -> bool:
@@ -75,7 +86,28 @@ def read_capture_folder(path: Path) -> Capture:
         raise CaptureError(
             f"{file}: none of its {len(problems)} views can be used ({(problems or ['it lists none'])[0]})"
         )
-    return Capture(folder.resolve().name, tuple(views), problems=tuple(problems))
+    up, is_metric = _world(folder / WORLD)
+    return Capture(folder.resolve().name, tuple(views), is_metric=is_metric, up=up, problems=tuple(problems))
+
+
+def write_world(folder: Path, up: tuple[float, float, float], *, is_metric: bool) -> None:
+    """Say beside the views which way is up in their world, and whether its unit is the metre."""
+    (folder / WORLD).write_text(json.dumps({"up": list(up), "is_metric": is_metric}) + "\n", encoding="utf-8")
+
+
+def _world(file: Path) -> tuple[tuple[float, float, float], bool]:
+    """Read which way is up, and whether the unit is the metre; z and yes where there is no such file."""
+    if not file.is_file():
+        return (0.0, 0.0, 1.0), True
+    try:
+        values = json.loads(file.read_text(encoding="utf-8"))
+        x, y, z = (_number(each, str(file), "up") for each in values["up"])
+        is_metric = values["is_metric"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise CaptureError(f"{file}: expected up (three numbers) and is_metric ({error})") from None
+    if not isinstance(is_metric, bool) or np.linalg.norm([x, y, z]) < 1e-6:
+        raise CaptureError(f"{file}: is_metric must be true or false, and up no zero vector")
+    return (x, y, z), is_metric
 
 
 def _record(view: View) -> dict[str, Any]:

@@ -34,6 +34,7 @@ from .jobs.background_job import BackgroundJob, JobPreview
 from .jobs.recorder import Recorder
 from .jobs.recording_job import RecordingJob
 from .jobs.scene_job import SceneJob, SceneTask
+from .jobs.transfer_training import TransferTraining
 from .log import LogLines, told
 from .picture.interaction_budget import EXACT, Detail, InteractionBudget
 from .picture.screenshot_name import new_screenshot
@@ -41,6 +42,8 @@ from .picture.side import Side
 from .picture.sky_pick import SkyPick
 from .question import Answer, Question, nothing
 from .rain_lab import RainLab
+from .rainy.rainy_look import RainyLook
+from .rainy.transfer_studio import TransferStudio
 from .selection.options import SelectionOptions
 from .staged_scene import StagedScene
 from .timeline.clock import Clock
@@ -105,6 +108,7 @@ class Session(EditedDocument):
         self.captures = CaptureView()
         self.selecting = SelectionOptions()
         self._files = ThreadPoolExecutor(max_workers=1, thread_name_prefix="files")
+        self.rainy, self.studio = RainyLook(self._files), TransferStudio(self._files)
         self.questions: list[Question] = []
         """What a person is asked, one after the other."""
         self._is_closed = False
@@ -142,7 +146,7 @@ class Session(EditedDocument):
 
     def enter(self, opened: Opened) -> None:
         """Go to another document."""
-        self._cancel_jobs(but_recordings=True)
+        self._cancel_jobs(of_the_scene=True)
         scene = opened.scene
         rain, weather = rain_of(scene) or self.rain, weather_of(scene) or WITHOUT_CHANGE
         self.history = History.beginning_with(Document(scene, rain, weather))
@@ -179,8 +183,13 @@ class Session(EditedDocument):
     @property
     def is_working(self) -> bool:
         """Whether anything goes on in the background that a frame should look after."""
+        return bool(self.running_jobs) or self.is_bringing_in
+
+    @property
+    def is_bringing_in(self) -> bool:
+        """Whether something is on its way into the picture, which each frame goes on with."""
         waits = self.lab.busy is not None or self.captures.is_working
-        return bool(self.running_jobs) or self.busy is not None or self.staged is not None or waits
+        return self.busy is not None or self.staged is not None or waits
 
     # Questions and preferences
 
@@ -264,6 +273,7 @@ class Session(EditedDocument):
             if job.error is not None:
                 self.problem = f"{job.title} failed: {job.error}"
                 logger.error("%s", self.problem)
+        self.rainy.poll(self)
 
     @property
     def wetness_now(self) -> float:
@@ -388,11 +398,12 @@ class Session(EditedDocument):
     def enter_scene(self) -> None:
         """Begin anew with the view and the timeline: this is another place."""
         self._ride, self.timeline, self.clock.span_s = Ride(), Timeline(), None
+        self.rainy.previewed = None
         self.go_home()
         self.sky_is_stale = True
 
-    def _cancel_jobs(self, *, but_recordings: bool = False) -> None:
-        """Stop what runs; a recording has a copy of the document that it began with."""
+    def _cancel_jobs(self, *, of_the_scene: bool = False) -> None:
+        """Stop what runs; a recording has a copy of the document that it began with, a training knows no scene."""
         for job in self.running_jobs:
-            if not (but_recordings and isinstance(job, RecordingJob)):
+            if not (of_the_scene and isinstance(job, RecordingJob | TransferTraining)):
                 job.cancel()

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
 from gsrain_engine.raster.rasterizer import rasterize
-from gsrain_engine.reconstruct.recoloring.preview_cameras import preview_cameras
 from gsrain_engine.reconstruct.recoloring.views import TargetView
 from gsrain_engine.scene.scene import Scene
 
@@ -27,10 +27,10 @@ def changed(scene: Scene, seed: int = 0) -> Scene:
 
 def pictures(scene: Scene, count: int = 6) -> list[TargetView]:
     views = []
-    for i, (camera, time_s) in enumerate(preview_cameras(scene, count)):
-        small = camera.resized(*SIZE)
-        image = np.clip(rasterize(scene.parts(time_s), small).over(), 0, 1).astype(np.float32)
-        views.append(TargetView(f"view {i}", small, time_s, image))
+    for i, placed in enumerate(chosen_cameras(scene, ViewChoice(count=count))):
+        small = placed.camera.resized(*SIZE)
+        image = np.clip(rasterize(scene.parts(placed.time_s), small).over(), 0, 1).astype(np.float32)
+        views.append(TargetView(f"view {i}", small, placed.time_s, image))
     return views
 
 

@@ -4,19 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from small_capture import small_capture
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.datasets.capture import Capture, CaptureError, View  # noqa: E402
+from gsrain_engine.datasets.capture import View  # noqa: E402
 from gsrain_engine.raster.gradients.rendered import Footprint, Rendered  # noqa: E402
 from gsrain_engine.reconstruct.color_affine import fitted_affine, with_affine  # noqa: E402
 from gsrain_engine.reconstruct.training.curves import TrainingCurves  # noqa: E402
 from gsrain_engine.reconstruct.training.exposure_affine import ExposureAffine  # noqa: E402
 from gsrain_engine.reconstruct.training.held_out import held_out_indices, score  # noqa: E402
-from gsrain_engine.reconstruct.training.images import with_images  # noqa: E402
 from gsrain_engine.reconstruct.training.loss import Truth, view_loss  # noqa: E402
 from gsrain_engine.reconstruct.training.model import Picture  # noqa: E402
 from gsrain_engine.reconstruct.training.settings import TrainingSettings  # noqa: E402
@@ -158,34 +156,6 @@ def test_holes_before_a_surface_and_veils_before_the_sky_cost():
     assert cover(0.0, 1.0) == pytest.approx(0, abs=1e-6)
     assert cover(0.3, 1.0) == pytest.approx(0.3, rel=1e-4)
     assert cover(0.0, 0.6) == pytest.approx(0.4, rel=1e-4)
-
-
-def views(*names, sensor="CAM"):
-    camera = Camera(12, 8, 9, 9, 6, 4)
-    return tuple(View(name, camera, np.zeros((8, 12, 3), np.uint8), sensor=sensor) for name in names)
-
-
-def test_pictures_of_a_folder_are_found_by_name_sensor_or_last_part(tmp_path):
-    capture = Capture("c", views("a/one", "two", "three.jpg", "four"))
-    (tmp_path / "CAM").mkdir()
-    for k, name in enumerate(["one.png", "CAM/two.png", "three.png"]):
-        Image.fromarray(np.full((8, 12, 3), 10 * (k + 1), np.uint8)).save(tmp_path / name)
-    changed = with_images(capture, tmp_path)
-    assert [view.name for view in changed] == ["a/one", "two", "three.jpg"]
-    assert [int(view.image[0, 0, 0]) for view in changed] == [10, 20, 30]
-    assert "'four' for one" in changed.problems[0]
-
-
-def test_pictures_of_another_size_are_resized_and_strange_ones_refused(tmp_path):
-    capture = Capture("c", views("one"))
-    Image.fromarray(np.full((16, 24, 3), 90, np.uint8)).save(tmp_path / "one.png")
-    assert with_images(capture, tmp_path)[0].image.shape == (8, 12, 3)
-    (tmp_path / "one.png").write_bytes(b"no picture")
-    with pytest.raises(CaptureError, match="one.png"):
-        _ = with_images(capture, tmp_path)[0].image
-    (tmp_path / "one.png").unlink()
-    with pytest.raises(CaptureError, match="has no picture of a view; expected one.png"):
-        with_images(capture, tmp_path)
 
 
 def test_curves_come_back_from_a_checkpoint():

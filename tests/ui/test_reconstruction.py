@@ -1,9 +1,6 @@
 """From a capture to Gaussians, and from pictures to their colours, in the real window."""
 
-from multiprocessing.shared_memory import SharedMemory
-
 import numpy as np
-import psutil
 import pytest
 from PIL import Image
 
@@ -61,6 +58,9 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
         driver.ctx.item_click("//Capture/Reconstruct/Reconstruct")
         driver.frames()
         (job,) = session.jobs
+        # Where it was started there is how far it is, and nothing else can be started.
+        assert driver.ctx.item_exists("//Capture/Reconstruct/Cancel##0")
+        assert not driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
         driver.until(lambda: ended(job), 1_000_000)
         assert (job.state, job.error) == ("finished", None)
         assert session.history.labels == ["Open", "Reconstruct drive"]
@@ -99,40 +99,6 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
         assert np.array_equal(driver.picture(), wet)
 
     driver.run(script)
-
-
-def test_closing_the_window_ends_the_training(drive, monkeypatch):
-    shots = drive / "shots"
-    shots.mkdir()
-    monkeypatch.setenv("XDG_DATA_HOME", str(drive / "data"))
-    settings = reconstruct_fields.load_settings("draft", steps=100_000, width_px=96, gaussians=3000)
-    monkeypatch.setattr(reconstruct_fields._chosen, "settings", settings)
-    driver = Driver(shots)
-    session = driver.session
-    trains = []
-
-    def script():
-        session.captures.open(drive / "drive")
-        driver.until(lambda: session.captures.capture is not None)
-        driver.ctx.window_focus("//Capture")
-        driver.ctx.item_open("//Capture/Reconstruct")
-        driver.frames()
-        driver.ctx.item_click("//Capture/Reconstruct/Reconstruct")
-        driver.frames()
-        (job,) = session.jobs
-        driver.until(lambda: job.state != "running" or job.progress.message.startswith("Step"), 1_000_000)
-        trains.extend([job._worker._process.pid, job._folder._path, job._worker._picture.name])
-
-        # Where it was started there is how far it is, and nothing else can be started.
-        assert driver.ctx.item_exists("//Capture/Reconstruct/Cancel##0")
-        assert not driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
-
-    driver.run(script)
-    process, folder, picture = trains
-    assert not psutil.pid_exists(process)
-    assert not folder.exists()
-    with pytest.raises(FileNotFoundError):
-        SharedMemory(picture)
 
 
 def test_without_torch_the_panel_says_so(drive, monkeypatch):

@@ -1,8 +1,9 @@
-"""The appearance follows the rain: wet colours from the preview job, the intensity, wetness by hand, undo and redo."""
+"""The appearance follows the rain: wet colours, the intensity, wetness by hand, undo and redo."""
 
 import numpy as np
 import pytest
 
+from gsrain_engine.session.staged_scene import StagedScene
 from small_scene import small_scene
 from ui.shortcuts import chord
 from window_driver import Driver, imgui
@@ -26,16 +27,15 @@ def wet_driver(tmp_path):
     return Driver(tmp_path, darker(small_scene()))
 
 
-def test_the_finished_job_is_one_step_that_the_intensity_blends_in(driver):
+def test_the_intensity_blends_wet_colours_in_and_every_step_is_undone(driver):
     def script():
         session = driver.session
         driver.click("//Rain/Streaks")  # so that the pictures show the scene alone
         driver.click("//Rain/Haze")
         clear, before = driver.picture(), session.scene
-        driver.click("//Jobs/Make it rainy (preview)")
-        driver.until(lambda: session.scene is not before, 100_000)
+        session.stage(StagedScene("Make it rainy", darker(before), only_wet_colors=True))
+        driver.until(lambda: session.scene is not before)
         assert [new.gaussians for new in session.scene.members] == [old.gaussians for old in before.members]
-        assert all(each.wet_sh is not None for each in session.scene.members)
         assert np.array_equal(driver.picture(), clear)  # it does not rain
         driver.ctx.item_input_value("//Rain/##intensity_mm_h", 12.0)
         driver.frames()

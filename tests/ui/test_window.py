@@ -81,30 +81,6 @@ def test_regions_are_edited_and_drawn(driver):
     assert orange.sum() > 50
 
 
-def test_job_is_cancelled_run_again_and_undone(driver):
-    def script():
-        session = driver.session
-        driver.click("//Rain/8.5")
-        clear_scene, clear, blue_sky = session.scene, driver.picture(), session.sky
-        driver.click("//Jobs/Make it rainy (preview)")
-        driver.until(lambda: session.jobs[0].progress.fraction > 0)
-        driver.click("//Jobs/Cancel##0")
-        assert session.jobs[0].state == "cancelled"
-        assert session.scene is clear_scene
-        driver.click("//Jobs/Make it rainy (preview)")
-        driver.until(lambda: session.scene is not clear_scene, 100_000)
-        assert session.jobs[1].state == "finished"
-        rainy = driver.picture()
-        assert np.abs(rainy - clear).mean() > 3
-        assert session.sky != blue_sky
-        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
-        assert session.scene is clear_scene
-        assert np.array_equal(driver.picture(), clear)
-        assert session.sky == pytest.approx(blue_sky, abs=1e-3)
-
-    driver.run(script)
-
-
 def test_time_plays_pauses_and_rain_falls_in_real_seconds(driver):
     def script():
         driver.click("//Rain/8.5")

@@ -106,4 +106,13 @@ CAPTURE_ACTIONS = (
         is_possible=_has_capture,
         is_on=_is("show_points"),
     ),
+    Action(
+        "Show matches with another view",
+        lambda session: setattr(session.captures.matching, "is_on", not session.captures.matching.is_on),
+        "View",
+        chord(_KEY.mod_shift, _KEY.m),
+        "Find each pixel of what is looked at in another view of the capture, by its depth.",
+        _has_capture,
+        lambda session: session.captures.matching.is_on,
+    ),
 )

@@ -7,6 +7,7 @@ from gsrain_engine.session.capture.view_pictures import THUMBNAIL_PX, Wish
 from gsrain_engine.session.session import Session
 
 from ..actions.capture import ask_for_capture_file, ask_for_capture_folder
+from .matching_fields import matching_fields
 from .rain_panel import WARNING
 from .reconstruct_fields import reconstruct_fields
 from .timeline.colors import BACKGROUND, DIM, TEXT, color
@@ -28,6 +29,9 @@ def capture_panel(session: Session) -> None:
     _shown(session)
     _steps(session, capture)
     _problems(session)
+    if imgui.tree_node("Matching"):
+        matching_fields(session)
+        imgui.tree_pop()
     if imgui.tree_node("Reconstruct"):
         reconstruct_fields(session)
         imgui.tree_pop()

@@ -33,7 +33,7 @@ def job_fields(session: Session, job: BackgroundJob, number: int) -> None:
         if isinstance(job, SceneJob) and job.report is not None:
             if imgui.button(f"Report##{number}", (-1, 0)):
                 webbrowser.open(job.report.as_uri())
-            imgui.set_item_tooltip(f"Show the curves, the held-out views and the timings in a browser: {job.report}")
+            imgui.set_item_tooltip(f"Show figures, views and timings in a browser: {job.report}")
 
 
 def _preview(session: Session, job: BackgroundJob) -> None:

@@ -15,6 +15,7 @@ from .history_panel import history_panel
 from .jobs_panel import jobs_panel
 from .layers_panel import layers_panel
 from .log_panel import log_panel
+from .make_rainy_panel import make_rainy_panel
 from .rain_panel import rain_panel
 from .rain_readout_panel import rain_readout_panel
 from .record_panel import record_panel
@@ -39,6 +40,7 @@ PANELS = (
     Panel("Layers", "left", layers_panel),
     Panel("History", "left bottom", history_panel),
     Panel("Rain", "right", rain_panel),
+    Panel("Make it rainy", "right", make_rainy_panel),
     Panel("Edit", "right", edit_panel),
     Panel("Select", "right", select_panel),
     Panel("Record", "right", record_panel),

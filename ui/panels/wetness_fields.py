@@ -6,9 +6,7 @@ from gsrain_engine.session.session import Session
 
 from ..widgets import fields
 
-_NO_WET_COLORS = (
-    'The scene has no wet colours yet: "Make it rainy (preview)" in Jobs or recolouring in Capture makes them.'
-)
+_NO_WET_COLORS = 'The scene has no wet colours yet: the panel "Make it rainy" or recolouring in Capture makes them.'
 
 
 def wetness_fields(session: Session) -> None:

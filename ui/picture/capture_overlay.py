@@ -1,8 +1,7 @@
 """The open capture in the picture: measured points, recorded cameras with their pictures, and the one looked from."""
 
 import numpy as np
-from imgui_bundle import ImVec2, ImVec4, imgui
-from jaxtyping import Float64
+from imgui_bundle import ImVec4, imgui
 
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.session.capture.frustums import Frustum, frustums, picture_grid
@@ -10,6 +9,7 @@ from gsrain_engine.session.capture.view_pictures import LARGE_PX, THUMBNAIL_PX, 
 from gsrain_engine.session.session import Session
 
 from ..panels.timeline.colors import CHOSEN, OUTLINE, color
+from .placed_picture import draw_placed_picture
 from .viewport import Viewport
 
 _CAMERA = ImVec4(0.5, 0.85, 0.62, 0.9)
@@ -69,31 +69,8 @@ def _picture(session: Session, viewport: Viewport, camera: Camera, view: int, wi
     texture = captures.textures.get(Wish(view, width))
     cells = (4, 3) if width == THUMBNAIL_PX else (8, 6)
     grid = picture_grid(camera, captures.length_m(session.scene), viewport.shot.camera, cells)
-    if texture is None or grid is None or not _is_in(viewport, grid):
-        return
-    draw, tint = imgui.get_window_draw_list(), imgui.get_color_u32(ImVec4(1.0, 1.0, 1.0, opacity))
-    on_screen = [[viewport.on_screen(x, y) for x, y in row] for row in grid.tolist()]
-    for row in range(cells[1]):
-        top, bottom = row / cells[1], (row + 1) / cells[1]
-        for column in range(cells[0]):
-            left, right = column / cells[0], (column + 1) / cells[0]
-            draw.add_image_quad(
-                imgui.ImTextureRef(texture.name),
-                on_screen[row][column],
-                on_screen[row][column + 1],
-                on_screen[row + 1][column + 1],
-                on_screen[row + 1][column],
-                ImVec2(left, top),
-                ImVec2(right, top),
-                ImVec2(right, bottom),
-                ImVec2(left, bottom),
-                tint,
-            )
-
-
-def _is_in(viewport: Viewport, grid: Float64[np.ndarray, "rows columns 2"]) -> bool:
-    low, high = grid.min(axis=(0, 1)), grid.max(axis=(0, 1))
-    return bool(high[0] > 0 and high[1] > 0 and low[0] < viewport.width and low[1] < viewport.height)
+    if texture is not None and grid is not None:
+        draw_placed_picture(viewport, texture.name, grid, opacity)
 
 
 def _frustum(session: Session, viewport: Viewport, frustum: Frustum, *, is_near: bool) -> None:

@@ -8,8 +8,8 @@ _HALF_GRIP = 6.0
 _MARGIN = 8.0
 
 
-def draw_divider(session: Session, corner: ImVec2, width: int, height: int) -> None:
-    """Draw the line over the picture at a corner of the screen, and let it be moved."""
+def draw_divider(session: Session, labels: tuple[str, str], corner: ImVec2, width: int, height: int) -> None:
+    """Draw the line between what is labelled so, over the picture at a corner of the screen, and let it be moved."""
     view = session.view
     x = corner.x + view.divider * width
     imgui.set_cursor_screen_pos(ImVec2(x - _HALF_GRIP, corner.y))
@@ -21,20 +21,22 @@ def draw_divider(session: Session, corner: ImVec2, width: int, height: int) -> N
         view.divider = min(max(view.divider + imgui.get_io().mouse_delta.x / width, 0.0), 1.0)
     if hovered and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
         view.divider = 0.5
-    _line_and_labels(session, corner, width, height, bright=held or hovered)
+    _line_and_labels(session, labels, corner, width, height, bright=held or hovered)
 
 
-def _line_and_labels(session: Session, corner: ImVec2, width: int, height: int, *, bright: bool) -> None:
-    left, right = session.sides
+def _line_and_labels(
+    session: Session, labels: tuple[str, str], corner: ImVec2, width: int, height: int, *, bright: bool
+) -> None:
+    left, right = labels
     x = corner.x + session.view.divider * width
     draw = imgui.get_window_draw_list()
     draw.push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height), True)
     color = imgui.get_color_u32((1.0, 1.0, 1.0, 1.0 if bright else 0.75))
     draw.add_line(ImVec2(x, corner.y), ImVec2(x, corner.y + height), color, 2.0)
     draw.add_circle_filled(ImVec2(x, corner.y + height / 2), 7.0, color)
-    size = imgui.calc_text_size(left.label)
-    _label(draw, left.label, ImVec2(x - size.x - 2 * _MARGIN, corner.y + _MARGIN))
-    _label(draw, right.label, ImVec2(x + 2 * _MARGIN, corner.y + _MARGIN))
+    size = imgui.calc_text_size(left)
+    _label(draw, left, ImVec2(x - size.x - 2 * _MARGIN, corner.y + _MARGIN))
+    _label(draw, right, ImVec2(x + 2 * _MARGIN, corner.y + _MARGIN))
     draw.pop_clip_rect()
 
 

@@ -5,10 +5,11 @@ from collections.abc import Callable
 from gsrain_engine.session.session import Session
 
 from .capture_overlay import capture_overlay
+from .matching_overlay import matching_overlay
 from .path_overlay import path_overlay
 from .viewport import Viewport
 
 Overlay = Callable[[Session, Viewport], bool]
 """Draws into the window's draw list; returns whether the left mouse button is its own now (a handle is held)."""
 
-OVERLAYS: tuple[Overlay, ...] = (capture_overlay, path_overlay)
+OVERLAYS: tuple[Overlay, ...] = (capture_overlay, matching_overlay, path_overlay)

@@ -12,6 +12,7 @@ from .divider import draw_divider
 from .empty_state import empty_state
 from .notice import draw_notice
 from .overlays import OVERLAYS
+from .preview_side import preview_side
 from .tool_bar import tool_bar
 from .tool_options import tool_options
 from .view_bar import view_bar
@@ -42,8 +43,11 @@ def viewport_panel(session: Session, textures_of: TexturesOf) -> None:
         imgui.set_cursor_screen_pos(ImVec2(corner.x + at, corner.y))
     if at < width:
         imgui.image(imgui.ImTextureRef(textures[-1]), ImVec2(width - at, height), ImVec2(at / width, 0), ImVec2(1, 1))
+    labels = preview_side(session, corner, width, height)
     if len(textures) == 2:
-        draw_divider(session, corner, width, height)
+        labels = session.sides[0].label, session.sides[1].label
+    if labels is not None:
+        draw_divider(session, labels, corner, width, height)
     imgui.set_cursor_screen_pos(corner)
     imgui.set_next_item_allow_overlap()
     flags = imgui.ButtonFlags_.mouse_button_left | imgui.ButtonFlags_.mouse_button_right

@@ -30,6 +30,7 @@ class FieldInfo:
 def field_info(name: str, owner: type[msgspec.Struct] = Rain) -> FieldInfo:
     """Read the declaration of a field, of the rain or of another struct."""
     hint = get_type_hints(owner, include_extras=True)[name]
+    hint = next((each for each in get_args(hint) if get_origin(each) is Annotated), hint)  # where it may be None
     kind, meta = (hint.__origin__, hint.__metadata__[0]) if get_origin(hint) is Annotated else (hint, msgspec.Meta())
     extra: dict[str, Any] = meta.extra or {}
     choices = tuple(each for each in get_args(kind) if isinstance(each, str))

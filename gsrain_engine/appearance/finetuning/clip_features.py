@@ -1,19 +1,16 @@
 """What discriminators look at: features of a frozen CLIP vision model (Kumari et al. 2022, Radford et al. 2021)."""
 
-import os
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+
+from .clip_place import find_clip
 
 torch: Any = import_module("torch")
 transformers: Any = import_module("transformers")
 
 Tensor = Any
 
-PLACE = "GSRAIN_CLIP"
-"""Environment variable with the folder of CLIP ViT-B/32 in the layout of transformers."""
-
-_HOW = f"download openai/clip-vit-base-patch32 (huggingface-cli download), and give its folder as `clip` or {PLACE}"
 _MEAN = (0.48145466, 0.4578275, 0.40821073)
 _DEVIATION = (0.26862954, 0.26130258, 0.27577711)
 
@@ -36,19 +33,16 @@ class ClipFeatures(torch.nn.Module):
 
     @classmethod
     def read(cls, folder: Path | None) -> "ClipFeatures":
-        """Load a folder that a person has (None: that of GSRAIN_CLIP).
+        """Load a folder that a person has (None: wherever `clip_places` says).
 
-        Raises FileNotFoundError, with how to get it, where there is none, ValueError where numbers are missing in it.
+        Raises FileNotFoundError, with how to get it, where there is none, ValueError where weights are missing in it.
         """
-        place = folder or (Path(os.environ[PLACE]) if os.environ.get(PLACE) else None)
-        if place is None or not (place / "config.json").is_file():
-            where = "nothing says where it lies" if place is None else f"{place} holds no config.json"
-            raise FileNotFoundError(f"the discriminators need CLIP's vision model, but {where}: {_HOW}")
-        vision, told = transformers.CLIPVisionModelWithProjection.from_pretrained(
-            place, local_files_only=True, output_loading_info=True, dtype=torch.float32
-        )
-        if missing := sorted(told["missing_keys"]):
-            raise ValueError(f"{place}: {len(missing)} numbers of CLIP's vision model are missing, first {missing[0]}")
+        place = find_clip(folder)
+        vision, told = _loaded(place)
+        # A whole CLIP has a text model too, which nobody misses; but a number that is missing here would be random.
+        lacking = sorted({*told["missing_keys"], *(name for name, *_ in told["mismatched_keys"])})
+        if lacking:
+            raise ValueError(f"{place}: {len(lacking)} weights of CLIP's vision model are missing, first {lacking[0]}")
         return cls(vision)
 
     @classmethod
@@ -87,6 +81,22 @@ def _area_weights(of: int, to: int) -> Tensor:
         first, end = i * of // to, -(-(i + 1) * of // to)
         weights[i, first:end] = 1 / (end - first)
     return weights
+
+
+def _loaded(place: Path) -> tuple[Any, Any]:
+    """The vision model of a folder, and what was found; without the report on the text model that it would log."""
+    log = transformers.logging
+    said, shown = log.get_verbosity(), log.is_progress_bar_enabled()
+    log.set_verbosity_error()
+    log.disable_progress_bar()
+    try:
+        return transformers.CLIPVisionModelWithProjection.from_pretrained(
+            place, local_files_only=True, output_loading_info=True, ignore_mismatched_sizes=True, dtype=torch.float32
+        )
+    finally:
+        log.set_verbosity(said)
+        if shown:
+            log.enable_progress_bar()
 
 
 def _as_map(tokens: Tensor) -> Tensor:

@@ -11,9 +11,6 @@ Tensor = Any
 Perceptual = Callable[[Tensor, Tensor], Tensor]
 """Distance of two batches (b, 3, h, w) of values -1..1 as eyes see it, a scalar; LPIPS is one."""
 
-CHANCE = 0.6931471805599453
-"""Adversarial loss of one level where made and real can't be told apart: ln 2."""
-
 
 def adversarial(logits: Sequence[Tensor], real: bool) -> Tensor:
     """Sum over the levels of the mean cross-entropy of logits with "real" or "made" (multilevel sigmoid loss).
@@ -27,7 +24,7 @@ def adversarial(logits: Sequence[Tensor], real: bool) -> Tensor:
 def difference(
     shown: Tensor, truth: Tensor, weight: float, perceptual_weight: float, perceptual: Perceptual | None
 ) -> Tensor:
-    """Weighted mean absolute difference of pictures of values -1..1, plus the weighted perceptual one if there is one."""
+    """Weighted mean absolute difference of pictures of values -1..1, plus the weighted perceptual one, if any."""
     loss = weight * (shown - truth).abs().mean()
     if perceptual is not None and perceptual_weight > 0:
         loss = loss + perceptual_weight * perceptual(shown, truth)

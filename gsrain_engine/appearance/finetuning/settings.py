@@ -26,7 +26,8 @@ class OptimizerSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     rate: Annotated[float, Meta(gt=0, le=1, title="Learning rate", description="Of the generator.")] = 1e-5
     discriminator_rate: Annotated[
-        float | None, Meta(title="Discriminators' rate", description="Their learning rate; none: the generator's.")
+        Annotated[float, Meta(gt=0, le=1)] | None,
+        Meta(title="Discriminators' rate", description="Their learning rate; none: the generator's."),
     ] = None
     warmup_steps: Annotated[
         int, Meta(ge=0, title="Warm-up", description="Iterations in which the rates rise evenly; constant afterwards.")
@@ -57,14 +58,17 @@ class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
         Meta(title="Architecture", description="tiny: the same layers, hardly any channels, to try a recipe on."),
     ] = "sd-turbo"
     base: Annotated[
-        str | None, Meta(title="SD-Turbo", description="Its folder; none: where GSRAIN_SD_TURBO and the hub cache say.")
+        str | None,
+        Meta(title="SD-Turbo", description="Folder of SD-Turbo; none: found by GSRAIN_SD_TURBO or the hub's cache."),
     ] = None
     clip: Annotated[
         str | None,
-        Meta(title="CLIP", description="Folder of CLIP ViT-B/32, by which discriminators see; none: GSRAIN_CLIP."),
+        Meta(
+            title="CLIP", description="Folder of CLIP ViT-B/32, by which discriminators see; none: found like SD-Turbo."
+        ),
     ] = None
     lpips: Annotated[
-        str | None, Meta(title="LPIPS", description="File of VGG weights; none: those of this machine, if any.")
+        str | None, Meta(title="LPIPS", description="File of LPIPS's VGG weights; none: those of this machine, if any.")
     ] = None
     start: Annotated[
         str | None,
@@ -96,7 +100,7 @@ class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
         Literal["auto", "cpu", "cuda"], Meta(title="Device", description="auto: CUDA where it is there.")
     ] = "auto"
     samples: Annotated[
-        int, Meta(ge=1, le=16, title="Samples", description="So many clear pictures are shown as they come along.")
+        int, Meta(ge=1, le=16, title="Samples", description="So many clear pictures, of those for testing, are shown.")
     ] = 4
     sampled_every: Annotated[
         int, Meta(ge=0, title="Sampled every", description="Steps between grids of samples; 0: only at the end.")

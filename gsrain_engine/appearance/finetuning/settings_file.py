@@ -26,10 +26,9 @@ def load_finetuning(name: str | Path, **changes: Any) -> FinetuningSettings:
 
 
 def finetuning_help(name: str) -> str:
-    """Description of a setting with its default, for a command's help."""
+    """Description of a setting, for the help of a command that changes it."""
     hint = get_type_hints(FinetuningSettings, include_extras=True)[name]
-    default = {field.name: field.default for field in msgspec.structs.fields(FinetuningSettings)}[name]
-    return f"{hint.__metadata__[-1].description} Default: {default}."
+    return f"{hint.__metadata__[-1].description} Default: what CONFIG says."
 
 
 def finetuning_names() -> list[str]:

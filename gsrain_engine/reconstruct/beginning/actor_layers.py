@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float32, Float64
 
 from gsrain_engine.datasets.capture import Capture, TrackedBox, View
 from gsrain_engine.datasets.geometry.lidar_depth import lidar_depth
+from gsrain_engine.datasets.pixels.completed_depth import completed_depth
+from gsrain_engine.datasets.pixels.moving_masks import box_outline, can_move, inside_box, moves
 from gsrain_engine.scene.members import Actor
 
-from .completed_depth import completed_depth
 from .initial_gaussians import SURFACE_OPACITY, round_gaussians
-from .moving_masks import box_outline, can_move, inside_box, moves
 from .point_colors import point_colors
 
 LEAST_POINTS = 60

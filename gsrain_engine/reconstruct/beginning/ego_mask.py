@@ -9,10 +9,9 @@ from jaxtyping import Bool, Float32, Float64
 
 from gsrain_engine.datasets.capture import View
 from gsrain_engine.datasets.geometry.scaled_camera import scaled_camera
+from gsrain_engine.datasets.pixels.moving_masks import with_camera_masks
+from gsrain_engine.datasets.pixels.view_rays import pixel_rays
 from gsrain_engine.scene.camera import Camera
-
-from .moving_masks import with_camera_masks
-from .view_rays import pixel_rays
 
 logger = logging.getLogger("gsrain")
 

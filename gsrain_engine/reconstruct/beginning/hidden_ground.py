@@ -7,10 +7,9 @@ from jaxtyping import Float32, Float64
 from scipy.spatial import KDTree
 
 from gsrain_engine.datasets.capture import View
+from gsrain_engine.datasets.pixels.road_plane import road_drop
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.rotations import quaternions_from_matrices
-
-from .road_plane import road_drop
 
 _REACH = 3.5
 """How far around the cameras the road is carried on, over their height above it: the length of a car."""

@@ -10,18 +10,18 @@ from scipy.ndimage import uniform_filter
 from scipy.spatial import KDTree
 
 from gsrain_engine.datasets.capture import Capture, View
+from gsrain_engine.datasets.pixels.known_depth import KnownDepth, known_depth
+from gsrain_engine.datasets.pixels.moving_masks import moving_boxes, static_mask
+from gsrain_engine.datasets.pixels.view_rays import pixel_rays
 from gsrain_engine.raster.rasterizer import rasterize
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.members import Part
 
 from .camera_way import camera_way
 from .hidden_ground import hidden_ground
-from .known_depth import KnownDepth, known_depth
-from .moving_masks import moving_boxes, static_mask
 from .point_colors import point_colors, projected
 from .shortened import shortened
 from .surfels import Surfels, cell_means, cells, surfels_of_view
-from .view_rays import pixel_rays
 
 SURFACE_OPACITY = 0.85
 """Of Gaussians whose place is known: together they cover it, and gradients still pass."""

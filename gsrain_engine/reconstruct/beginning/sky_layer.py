@@ -7,12 +7,12 @@ from jaxtyping import Bool, Float32, Float64
 from scipy.spatial import KDTree
 
 from gsrain_engine.datasets.capture import Capture, View
+from gsrain_engine.datasets.pixels.measured_depth import measured_depths
+from gsrain_engine.datasets.pixels.sky_pixels import sky_masks
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.rotations import normalized
 
-from .measured_depth import measured_depths
 from .point_colors import projected
-from .sky_pixels import sky_masks
 
 SKY_GAUSSIANS = 8000
 """On the upper half of the dome they are 1.6 degrees apart: clouds, not leaves."""

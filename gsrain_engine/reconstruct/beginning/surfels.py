@@ -6,11 +6,10 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from gsrain_engine.datasets.capture import View
+from gsrain_engine.datasets.pixels.view_rays import pixel_rays
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.rotations import quaternions_from_matrices
-
-from .view_rays import pixel_rays
 
 SPREAD = 0.6
 """Standard deviation of a disc over the spacing of discs: they overlap without blurring much."""

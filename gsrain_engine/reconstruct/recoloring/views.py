@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Int64
 
-from gsrain_engine.appearance.normals import normals_from_depth
-from gsrain_engine.appearance.wet_preview import ground_share
+from gsrain_engine.appearance.normals.from_depth import normals_from_depth
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.prepared import prepared
 from gsrain_engine.raster.projection import view_directions
@@ -17,6 +16,7 @@ from gsrain_engine.raster.view_weights import view_weights
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Scene
 
+from .ground_share import ground_share
 from .scene_members import Member, VisibleMembers, visible_members, world_heights
 from .weights import StoredWeights, WalkedWeights, weights_of
 

@@ -11,6 +11,8 @@ from typing import Any
 import msgspec
 
 from gsrain_engine.datasets.capture import Capture, CaptureError, View
+from gsrain_engine.datasets.pixels.known_depth import KnownDepth, known_depth
+from gsrain_engine.datasets.pixels.moving_masks import moving_boxes, static_mask
 from gsrain_engine.evaluate.lpips import Lpips
 from gsrain_engine.evaluate.lpips_weights import find_lpips_weights, read_lpips_weights
 from gsrain_engine.scene.gaussians import Gaussians
@@ -20,8 +22,6 @@ from ..beginning.actor_layers import actor_layers
 from ..beginning.camera_way import camera_way
 from ..beginning.ego_mask import without_ego
 from ..beginning.initial_gaussians import initial_gaussians
-from ..beginning.known_depth import KnownDepth, known_depth
-from ..beginning.moving_masks import moving_boxes, static_mask
 from ..beginning.sky_layer import initial_sky
 from ..density.adaptive import AdaptiveDensity, AdaptiveSettings
 from ..density.control import DensityControl

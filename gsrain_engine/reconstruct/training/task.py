@@ -7,11 +7,11 @@ import msgspec
 
 from gsrain_engine.datasets.capture import Capture, CaptureError
 from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.datasets.other_pictures import with_images
+from gsrain_engine.datasets.pixels.moving_masks import read_camera_masks, with_camera_masks
 from gsrain_engine.datasets.readable_pictures import readable_pictures
 
-from ..beginning.moving_masks import read_camera_masks, with_camera_masks
 from .held_out import held_out_indices
-from .images import with_images
 from .settings import TrainingSettings
 
 

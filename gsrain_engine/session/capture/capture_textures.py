@@ -28,6 +28,7 @@ class CaptureTextures:
         self._points: tuple[ShownPoints, moderngl.VertexArray, list[moderngl.Buffer]] | None = None
         self._target: moderngl.Framebuffer | None = None
         self._drawn: tuple[object, ...] | None = None
+        self._matching: tuple[UInt8[np.ndarray, "h w 4"], moderngl.Texture] | None = None
 
     def update(self, session: Session) -> None:
         """Bring new pictures to the GPU, release old ones, and tell the session. Once a frame."""
@@ -42,6 +43,19 @@ class CaptureTextures:
         session.captures.textures = {
             wish: Texture(texture.glo, texture.width, texture.height) for wish, (_, texture) in self._pictures.items()
         }
+        session.captures.matching_texture = self._matching_texture(session.captures.matching.picture)
+
+    def _matching_texture(self, picture: UInt8[np.ndarray, "h w 4"] | None) -> Texture | None:
+        if self._matching is not None and self._matching[0] is not picture:
+            self._matching[1].release()
+            self._matching = None
+        if picture is None:
+            return None
+        if self._matching is None:
+            size = picture.shape[1], picture.shape[0]
+            self._matching = picture, self._context.texture(size, 4, np.ascontiguousarray(picture))
+        texture = self._matching[1]
+        return Texture(texture.glo, texture.width, texture.height)
 
     def draw_points(self, session: Session, camera: Camera) -> None:
         """Draw the points as a camera of the viewport's size sees them, over nothing, and tell the session."""

@@ -11,6 +11,7 @@ from jaxtyping import Float64
 from gsrain_engine.datasets.capture import Capture, CaptureError, View
 from gsrain_engine.scene.scene import Scene, rotation_to_z_up
 
+from ..matching.matching_view import MatchingView
 from .frustums import RecordedCameras, fitting_fov_deg, frustum_length
 from .shown_points import ShownPoints, shown_points
 from .view_pictures import ViewPictures, Wish
@@ -59,10 +60,13 @@ class CaptureView:
         self.pictures: ViewPictures | None = None
         self.textures: dict[Wish, Texture] = {}
         """Pictures that are on the GPU."""
+        self.matching_texture: Texture | None = None
+        """What lies over the view where matching is shown, with its own alpha."""
         self.points_texture: Texture | None = None
         """The points as the viewport sees them now."""
         self.viewport_px = (960, 640)
         """Size of the viewport at the last frame."""
+        self.matching = MatchingView()
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="capture")
         self._opening: tuple[Path, Future[tuple[Capture, ShownPoints | None]]] | None = None
         self.in_scene_axes: bool | None = None
@@ -90,7 +94,8 @@ class CaptureView:
     @property
     def is_working(self) -> bool:
         """Whether a frame should look after what is being read."""
-        return self.busy is not None or (self.pictures is not None and self.pictures.is_reading)
+        reads = self.pictures is not None and self.pictures.is_reading
+        return self.busy is not None or reads or self.matching.is_working
 
     def poll(self, session: "Session") -> None:
         """Take in what has been read."""
@@ -105,10 +110,12 @@ class CaptureView:
                 self._enter(path, capture, points)
         if self.pictures is not None:
             self.pictures.poll()
+        self.matching.poll(session)
 
     def close(self) -> None:
         """Wait for what is under way; nothing new begins."""
         self._thread.shutdown(cancel_futures=True)
+        self.matching.close()
 
     def _enter(self, path: Path, capture: Capture, points: ShownPoints | None) -> None:
         self.close_capture()

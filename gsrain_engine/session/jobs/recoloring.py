@@ -4,17 +4,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.datasets.other_pictures import with_images
 from gsrain_engine.evaluate.report.run_report import write_report
 from gsrain_engine.reconstruct.recoloring.recolored_file import read_recolored, write_recolored
+from gsrain_engine.reconstruct.recoloring.recolored_scene import with_colors
 from gsrain_engine.reconstruct.recoloring.run import RecolorOptions, recolor_to_capture
-from gsrain_engine.reconstruct.training.images import with_images
 from gsrain_engine.scene.formats import read_scene
 from gsrain_engine.scene.formats.known_files import KnownFiles
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
 from ..staged_scene import StagedScene
-from .rainy_look import with_colors
 from .report_files import new_report
 from .scene_copy import write_copy
 from .scene_job import Assignment

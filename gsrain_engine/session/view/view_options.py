@@ -7,8 +7,8 @@ from gsrain_engine.render.frame import Color
 from gsrain_engine.render.gpu_arrays import Harmonics
 from gsrain_engine.render.look import Look
 
-Split = Literal["off", "clear | rainy", "before | after"]
-"""before: the document before the last step of its history."""
+Split = Literal["off", "clear | rainy", "before | after", "now | preview"]
+"""before: the document before the last step of its history; preview: one view as a transfer makes it."""
 
 
 @dataclass(slots=True)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gsrain_engine.reconstruct.recoloring.recolored_scene import with_colors
 from gsrain_engine.scene.flattening import flattened
 from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.gaussians import Gaussians
@@ -22,7 +23,6 @@ from gsrain_engine.session.edits.compacting import compact
 from gsrain_engine.session.edits.moving import move_member, move_selected, moving
 from gsrain_engine.session.edits.new_gaussians import with_gaussians_of
 from gsrain_engine.session.files.open_scene import open_to_draw
-from gsrain_engine.session.jobs.rainy_look import with_colors
 
 from .edited_scene import assert_same, edited_scene, turned, with_selection, without
 from .edited_scene import seen as seen_together

@@ -17,7 +17,8 @@ class PictureSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         True
     )
     count: Annotated[
-        int | None, Meta(ge=1, title="Count", description="So many, spread evenly over its sequences; none: all.")
+        Annotated[int, Meta(ge=1)] | None,
+        Meta(title="Count", description="So many, spread evenly over its sequences; none: all."),
     ] = None
 
 

@@ -1,0 +1,128 @@
+"""`gsrain evaluate consistency`: whether neighbouring views still agree after a transfer."""
+
+import json as json_text
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+from PIL import Image
+from rich.console import Console
+
+from gsrain_engine.evaluate.consistency.folders import ComparedViews, open_compared
+from gsrain_engine.evaluate.consistency.pairs import FILM_SHARE, PairAgreement, agreements, warped_pair
+from gsrain_engine.evaluate.consistency.sheet import ShownPair, consistency_sheet
+from gsrain_engine.evaluate.consistency.warp_error import Perceived
+
+from .arguments import write_numbers
+from .consistency_numbers import print_agreements, report_of
+from .outputs import check_writable
+from .progress import progress_bar
+
+_SCREEN = Path("-")
+_COLUMNS = 150
+_Pairs = list[tuple[int, int]]
+
+
+def consistency(
+    folders: Annotated[
+        tuple[Path, ...],
+        Parameter(name="DIR", help="What gsrain transfer has written, or captures with depth, side by side."),
+    ],
+    /,
+    *,
+    neighbours: Annotated[int, Parameter(help="Neighbours that each view is compared with.")] = 2,
+    film: Annotated[
+        float, Parameter(help="Share of mirrored light, 0..1, from which on a pixel counts as water film.")
+    ] = FILM_SHARE,
+    width: Annotated[int | None, Parameter(help="Most pixels across a capture's pictures; default: 960.")] = None,
+    lpips: Annotated[Path | None, Parameter(help="Weights of LPIPS; default: those of this machine, if any.")] = None,
+    no_lpips: Annotated[bool, Parameter(help="Leave LPIPS out, which takes a second a pair.", negative="")] = False,
+    sheet: Annotated[Path | None, Parameter(help="Picture of some pairs, warped, with their errors (.png).")] = None,
+    sheet_pairs: Annotated[int, Parameter(help="Pairs on that picture.")] = 4,
+    json: Annotated[
+        Path | None,
+        Parameter(name="--json", help="Write the numbers to this file; - prints them.", allow_leading_hyphen=True),
+    ] = None,
+) -> None:
+    """Warp neighbouring views onto each other by their depth, and compare: before a transfer, and after it.
+
+    The error after should be that before: what a transfer adds differently in each view makes it grow. Reflections in
+    water move with the eye, so that errors outside the water film are told as well. Errors are the root of the mean
+    square over matched pixels, in levels of 255; "per contrast" divides each by its picture's contrast.
+
+    The paper's two ablations, normals and mutual self-attention, are these commands, with SCENE a scene or a capture:
+
+    gsrain transfer SCENE -o full --method cyclegan-turbo --weights FILE
+
+    gsrain transfer SCENE -o plain-normals --method cyclegan-turbo --weights FILE --no-normals
+
+    gsrain transfer SCENE -o plain-attention --method cyclegan-turbo --weights FILE --no-mutual-attention
+
+    gsrain evaluate consistency full plain-normals plain-attention --sheet ablations.png
+    """
+    _check(folders, neighbours, film, sheet_pairs)
+    check_writable(sheet, None if json == _SCREEN else json)
+    compared = [open_compared(folder, width) for folder in folders]
+    pairs = compared[0].chosen(neighbours)
+    if not pairs:
+        raise ValueError(f"{folders[0]}: no two views show the same place, or their depth is not known")
+    own_pairs = [each.alike(compared[0], pairs) for each in compared]
+    perceived = None if no_lpips else _perceived(lpips)
+    results: list[list[PairAgreement]] = []
+    with progress_bar("Comparing", len(pairs) * len(compared)) as advance:
+        for each, own in zip(compared, own_pairs, strict=True):
+            rows: list[PairAgreement] = []
+            for pair in own:
+                rows += agreements(each.views, [pair], has_clear=each.has_clear, film_share=film, perceived=perceived)
+                advance()
+            if not rows:
+                raise ValueError(f"{each.folder}: neighbouring views match in too few pixels to be compared")
+            results.append(rows)
+    print_agreements(compared, results, Console(file=sys.stderr if json == _SCREEN else sys.stdout, width=_COLUMNS))
+    if sheet is not None:
+        _draw(sheet, compared, own_pairs, film, sheet_pairs)
+    report = report_of(compared, results, film)
+    if json == _SCREEN:
+        print(json_text.dumps(report, indent=1))
+    else:
+        write_numbers(json, report)
+
+
+def _check(folders: Sequence[Path], neighbours: int, film: float, sheet_pairs: int) -> None:
+    if not folders:
+        raise ValueError("expected one or more folders")
+    if not 1 <= neighbours <= 16:
+        raise ValueError(f"--neighbours {neighbours}: must be within 1..16")
+    if not 0 <= film <= 1:
+        raise ValueError(f"--film {film:g}: must be within 0..1")
+    if not 1 <= sheet_pairs <= 40:
+        raise ValueError(f"--sheet-pairs {sheet_pairs}: must be within 1..40")
+
+
+def _perceived(weights: Path | None) -> Perceived | None:
+    """LPIPS from a file, or from this machine; None where nothing is asked for and torch or weights are missing."""
+    try:
+        from gsrain_engine.evaluate.lpips import Lpips  # torch is an extra
+        from gsrain_engine.evaluate.lpips_weights import find_lpips_weights, read_lpips_weights
+
+        return Lpips(find_lpips_weights("vgg") if weights is None else read_lpips_weights(weights)).distance
+    except (FileNotFoundError, ModuleNotFoundError):
+        if weights is not None:
+            raise
+        return None
+
+
+def _draw(path: Path, compared: Sequence[ComparedViews], pairs: Sequence[_Pairs], film: float, most: int) -> None:
+    count = min(most, len(pairs[0]))
+    chosen = [i * len(pairs[0]) // count for i in range(count)]
+    shown = [
+        [
+            ShownPair(each.title, warped_pair(each.views[own[i][0]], each.views[own[i][1]], film), each.has_clear)
+            for each, own in zip(compared, pairs, strict=True)
+        ]
+        for i in chosen
+    ]
+    Image.fromarray(consistency_sheet(shown)).save(path)
+    print(f"wrote {path}", file=sys.stderr)

@@ -1,0 +1,69 @@
+"""How rainy views were made, as a file beside them."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsrain_engine.datasets.capture import CaptureError
+from gsrain_engine.datasets.capture_folder import write_world
+
+TRANSFER = "transfer.json"
+_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TransferRecord:
+    """How rainy views were made."""
+
+    method: str
+    made_of: str
+    """Name of the scene or the capture."""
+    settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """Plain values."""
+    to_world: Float64[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
+    """Similarity from the units and axes of the scene or capture to the world (metres, z up)."""
+
+    @property
+    def metres_per_unit(self) -> float:
+        """Length of a unit of the scene or capture."""
+        return float(np.cbrt(np.linalg.det(self.to_world[:3, :3])))
+
+
+def write_record(folder: Path, record: TransferRecord) -> None:
+    """Write the record, and which way is up where that is not z, or the unit not the metre."""
+    values = {
+        "version": _VERSION,
+        "method": record.method,
+        "made_of": record.made_of,
+        "settings": dict(record.settings),
+        "to_world": record.to_world.tolist(),
+    }
+    (folder / TRANSFER).write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+    x, y, z = (record.to_world[2, :3] / record.metres_per_unit).tolist()
+    is_metric = bool(np.isclose(record.metres_per_unit, 1, atol=1e-9))
+    if not is_metric or not np.allclose((x, y, z), (0, 0, 1), atol=1e-12):
+        write_world(folder, (x, y, z), is_metric=is_metric)
+
+
+def read_record(folder: Path) -> TransferRecord:
+    """Read how rainy views were made; raises `CaptureError` where the file is missing or another one."""
+    file = folder / TRANSFER
+    try:
+        values = json.loads(file.read_text(encoding="utf-8"))
+        if values["version"] > _VERSION:
+            raise CaptureError(
+                f"{file}: version {values['version']} is newer than {_VERSION}, which this program knows"
+            )
+        to_world = np.array(values["to_world"], np.float64)
+        if to_world.shape != (4, 4) or not np.isfinite(to_world).all() or np.linalg.det(to_world[:3, :3]) <= 0:
+            raise CaptureError(f"{file}: to_world must be a similarity, 4x4 numbers")
+        return TransferRecord(str(values["method"]), str(values["made_of"]), dict(values["settings"]), to_world)
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        if isinstance(error, CaptureError):
+            raise
+        raise CaptureError(f"{file}: not the record of a transfer ({error})") from None

@@ -1,0 +1,145 @@
+"""Where the surfaces and the sky of a capture's views are: from its depth, its lidar, its points, or the road alone."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+
+from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, Sweep, View
+from gsrain_engine.datasets.geometry.lidar_depth import lidar_depth
+from gsrain_engine.datasets.pixels.completed_depth import completed_depth
+from gsrain_engine.datasets.pixels.measured_depth import measured_depths, static_sweeps
+from gsrain_engine.datasets.pixels.road_plane import road_depth, road_drop
+from gsrain_engine.datasets.pixels.sky_pixels import sky_masks
+
+from .guided_filter import guided
+from .road_pixels import road_pixels
+
+_REFERENCES = 5
+"""Views that tell with each one what colour the sky has."""
+_FEATHER, _SKY_SPREAD = 0.02, 0.03
+"""Radius, over the picture's width, in which the sky's edge is looked for, and how even its colour is there."""
+_GUESS, _GUESS_SPREAD = 0.04, 0.1
+"""The same for depth that was not measured near by."""
+_BEAMS = 0.012
+"""Between measured pixels so far apart, over the width, depth is interpolated; farther away it is guessed."""
+
+
+class CaptureSurfaces:
+    """Tells depth and sky of views of one capture, view by view."""
+
+    def __init__(self, capture: Capture, references: Sequence[View]) -> None:
+        """Take a capture, and its views without distortion, which are read when they are needed."""
+        self._capture = capture
+        chosen = np.unique(np.linspace(0, len(references) - 1, min(_REFERENCES, len(references))).round().astype(int))
+        self._reference_views = [references[i] for i in chosen]
+
+    @property
+    def metres_per_unit(self) -> float:
+        """Length of the capture's unit; where nobody knows it, what puts its cameras at the height of a car's."""
+        if self._capture.is_metric or self._drop is None:
+            return 1.0
+        return EGO_HEIGHT_M / self._drop
+
+    def sky(self, view: View) -> Float32[np.ndarray, "h w"]:
+        """Share of sky in each pixel of a view without distortion: as the capture says, else by colour and place.
+
+        The edge of what is found by colour follows leaves and wires: it is feathered along the picture's own edges.
+        """
+        own = view.sky
+        if own is not None:
+            return own.astype(np.float32)
+        others = [each for each in self._references if each.name != view.name]
+        here = self._measured(view)
+        measured = [here, *(self._reference_depths[each.name] for each in others)]
+        found = sky_masks([view, *others], measured, self._capture.up)[0]
+        if not here.any():
+            found = _from_the_top(found)
+        return _feathered(found, view.image)
+
+    def depth(self, view: View, sky: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+        """Depth along the view axis in the capture's unit; 0 in the sky, and where nothing can be told.
+
+        Lidar and points are made dense, see `completed_depth`; what is guessed far from them follows the picture's
+        edges. Where nothing was measured at all, the pixels that look
+        like the road before the camera lie on a plane `EGO_HEIGHT_M` under it.
+        """
+        own = view.depth
+        if own is not None:
+            return np.where(sky, np.float32(0), own)
+        measured = self._measured(view)
+        if measured.any():
+            road = None if self._drop is None else road_depth(view.camera, self._drop, self._capture.up)
+            return _along_edges(completed_depth(measured, sky, road), measured, view.image)
+        drop = EGO_HEIGHT_M / self.metres_per_unit if self._drop is None else self._drop
+        plane = road_depth(view.camera, drop, self._capture.up)
+        is_road = road_pixels(view.image, np.isfinite(plane) & ~sky)
+        return np.where(is_road, plane, np.float32(0))
+
+    def _measured(self, view: View) -> Float32[np.ndarray, "h w"]:
+        """Sparse depth: of the static scene at any time, and of what moves at the view's own."""
+        static = measured_depths(self._capture, [view], self._static)[0]
+        if not self._capture.sweeps or view.depth_source is not None:
+            return static
+        now = lidar_depth(view, [min(self._capture.sweeps, key=lambda sweep: abs(sweep.time_s - view.time_s))])
+        nearer = (now > 0) & ((static == 0) | (now < static))
+        return np.where(nearer, now, static)
+
+    @cached_property
+    def _static(self) -> tuple[Sweep, ...]:
+        return static_sweeps(self._capture)
+
+    @cached_property
+    def _references(self) -> list[View]:
+        return [replace(view, image_source=view.image) for view in self._reference_views]
+
+    @cached_property
+    def _reference_depths(self) -> dict[str, Float32[np.ndarray, "_ _"]]:
+        return {view.name: self._measured(view) for view in self._references}
+
+    @cached_property
+    def _drop(self) -> float | None:
+        """How far the road lies under the cameras, where only triangulated points are known."""
+        points = self._capture.points_m
+        if self._capture.sweeps or points is None or not len(points):
+            return None
+        return road_drop(points, self._capture.views, self._capture.up)
+
+
+def _from_the_top(sky: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Keep the patches that hang together with the picture's upper edge, wires and twigs between them passed by."""
+    gap = max(sky.shape[1] // 60, 3)
+    closed = cv2.morphologyEx(sky.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((gap, gap), np.uint8))
+    parts = np.asarray(cv2.connectedComponents(closed)[1], np.int64)
+    return sky & np.isin(parts, np.unique(parts[:2][closed[:2] > 0]))
+
+
+def _feathered(sky: Bool[np.ndarray, "h w"], image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
+    """Share of sky: as flagged, but near the flags' edge as the picture's colours have it."""
+    radius = max(round(_FEATHER * sky.shape[1]), 2)
+    window = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+    flags = sky.astype(np.uint8)
+    edge = cv2.dilate(flags, window) > cv2.erode(flags, window)
+    guide = image.astype(np.float32) / np.float32(255)
+    share = guided(sky.astype(np.float32), guide, np.ones_like(sky), radius, _SKY_SPREAD)
+    # The fit is a little flat: its middle part is stretched to the whole range.
+    return np.where(edge, np.clip((share - 0.1) / 0.8, 0, 1), sky).astype(np.float32)
+
+
+def _along_edges(
+    depth: Float32[np.ndarray, "h w"], measured: Float32[np.ndarray, "h w"], image: UInt8[np.ndarray, "h w 3"]
+) -> Float32[np.ndarray, "h w"]:
+    """Let depth far from all that was measured follow the picture's edges; 0 stays 0."""
+    beam, radius = (max(round(part * depth.shape[1]), 2) for part in (_BEAMS, _GUESS))
+    window = np.ones((2 * beam + 1, 2 * beam + 1), np.uint8)
+    guessed = (cv2.dilate((measured > 0).astype(np.uint8), window) == 0) & (depth > 0)
+    if not guessed.any():
+        return depth
+    inverse = np.where(depth > 0, 1 / np.where(depth > 0, depth, 1), 0).astype(np.float32)
+    guide = image.astype(np.float32) / np.float32(255)
+    smooth = guided(inverse, guide, depth > 0, radius, _GUESS_SPREAD)
+    bounded = np.clip(smooth, inverse[depth > 0].min(), inverse.max())
+    return np.where(guessed, 1 / np.where(guessed, bounded, 1), depth).astype(np.float32)

@@ -1,0 +1,77 @@
+"""The transfer `wet`: a view on a day of rain, without any weights."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsrain_engine.appearance.clear_view import ClearView
+from gsrain_engine.appearance.normals.from_depth import view_rays
+from gsrain_engine.appearance.transfer import RainyView
+from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
+
+from .albedo import wetted
+from .gloss import with_gloss
+from .ground import Ground
+from .lamps import lamp_share, with_lamps
+from .light import SceneLight, scene_light
+from .mist import in_mist
+from .relighting import before_cloud, overcast_surfaces
+from .settings import WetSettings
+from .sky import with_own_sky
+from .surfaces import surfaces_of
+from .surroundings import Surroundings
+from .water import water_on
+
+Image = Float32[np.ndarray, "h w 3"]
+
+
+class WetTransfer:
+    """Overcast light, wet materials, water, lamps and mist; the same view by view, since all is told by the scene."""
+
+    def __init__(self, settings: WetSettings, surroundings: Surroundings, light: SceneLight | None = None) -> None:
+        self._settings, self._surroundings, self._light = settings, surroundings, light
+
+    @property
+    def name(self) -> str:
+        """As in `gsrain transfer --method`."""
+        return "wet"
+
+    def light_of(self, views: Sequence[ClearView]) -> SceneLight:
+        """The light that views were seen in: what was given, or what they tell."""
+        return scene_light(views) if self._light is None else self._light
+
+    def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
+        """Make views rainy in their order. The light is told from some of them first, unless it was given."""
+        light = self.light_of(views)
+        for i in range(len(views)):
+            yield self._rainy(views[i], light)
+
+    def _rainy(self, view: ClearView, light: SceneLight) -> RainyView:
+        settings = self._settings
+        if settings.wetness == 0:
+            return RainyView(view, view.image, np.zeros_like(view.sky))
+
+        def look(each: ClearView) -> Image:
+            return rainy_light(each, light, settings, self._surroundings.ground(each))
+
+        shown, film = look(view), np.zeros_like(view.sky)
+        water = water_on(view, shown, self._surroundings, look, settings.wetness, settings.seed)
+        if water is not None:
+            left = ((1 - water.share) * water.through)[..., None]
+            shown, film = left * shown + water.color, water.share
+        return RainyView(view, np.clip(linear_to_srgb(shown), 0, 1).astype(np.float32), film)
+
+
+def rainy_light(view: ClearView, light: SceneLight, settings: WetSettings, ground: Ground | None) -> Image:
+    """Return the view on a rainy day but for the water on the ground, linear light."""
+    clear = srgb_to_linear(view.image).astype(np.float32)
+    view = with_own_sky(view)
+    rays = view_rays(view.camera)
+    directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    surfaces = surfaces_of(view, ground)
+    surface = wetted(overcast_surfaces(view, light, settings, surfaces), surfaces, settings)
+    surface = with_gloss(surface, surfaces, directions, settings)
+    surface = with_lamps(surface, view, lamp_share(view, surfaces, settings.tail_lamps), settings.lamps)
+    rainy = before_cloud(view, in_mist(surface, view, rays, settings), settings)
+    return ((1 - settings.wetness) * clear + settings.wetness * rainy).astype(np.float32)

@@ -1,0 +1,78 @@
+"""A scene becomes rainy: its views are transferred, and its colours are solved for so that it looks like them."""
+
+from collections.abc import Generator, Sequence
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from gsrain_engine.appearance.clear_view import ClearView
+from gsrain_engine.appearance.transfer import Transfer
+from gsrain_engine.scene.progress import Progress
+from gsrain_engine.scene.scene import Scene
+
+from .recoloring.recolor_scene import recolor_scene
+from .recoloring.recolored_scene import with_colors
+from .recoloring.settings import RecolorSettings
+from .recoloring.views import TargetView
+
+QUICK = RecolorSettings(iterations=10, rounds=1, sh_degree=1, tikhonov=0.3, exposure=False, robust=False)
+"""For transfers whose views agree with each other; degree 1 is all that a wet road needs."""
+
+_VIEWS_DONE = 0.7
+"""Share of the whole time, measured on the built-in street with the wet look."""
+_PREVIEW_WIDTH_PX = 320
+
+
+def rainy_scene(
+    scene: Scene, views: Sequence[ClearView], transfer: Transfer, settings: RecolorSettings = QUICK
+) -> Generator[Progress, None, Scene]:
+    """Give a scene wet colours; its geometry and its clear colours stay as they are.
+
+    It can be stopped at every step, and has written nothing then. The previews are small pictures of the view that was
+    made rainy last, and then of how the first of them looks with the colours so far.
+
+    Args:
+        scene: What is to become rainy.
+        views: Views of it, which may be worked out when they are asked for.
+        transfer: What makes a view rainy; soaked, since wetness then blends between clear and wet colours.
+        settings: How colours are solved for.
+
+    Yields:
+        How far it has come.
+
+    Returns:
+        The scene with wet colours.
+
+    Raises:
+        ValueError: When there is no view, or none shows anything of the scene.
+    """
+    if not len(views):
+        raise ValueError("a scene needs at least one view to become rainy")
+    targets = yield from _transferred(views, transfer)
+    solving = recolor_scene(scene, targets, [], settings)
+    while True:
+        try:
+            progress = next(solving)
+        except StopIteration as finished:
+            return with_colors(scene, finished.value.colors)
+        yield progress._replace(fraction=_VIEWS_DONE + (1 - _VIEWS_DONE) * progress.fraction)
+
+
+def _transferred(views: Sequence[ClearView], transfer: Transfer) -> Generator[Progress, None, list[TargetView]]:
+    targets, preview = list[TargetView](), None
+    rainy = iter(transfer.transferred(views))
+    while True:
+        done, count = len(targets), len(views)
+        yield Progress(_VIEWS_DONE * done / count, f"Making view {min(done + 1, count)} of {count} rainy", preview)
+        made = next(rainy, None)
+        if made is None:
+            return targets
+        targets.append(TargetView(made.clear.name, made.clear.camera, made.clear.time_s, made.image))
+        preview = _small(made.image)
+
+
+def _small(picture: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
+    shrink = min(1.0, _PREVIEW_WIDTH_PX / picture.shape[1])
+    small = cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
+    return np.rint(np.clip(small, 0, 1) * np.float32(255)).astype(np.uint8)

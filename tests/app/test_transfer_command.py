@@ -1,0 +1,149 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from app.command_line import run
+from gsrain_engine.appearance.transferred_folder import read_transferred
+from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.rain.wetness import wetness
+from gsrain_engine.scene.formats import read_scene, write_scene
+from gsrain_engine.session.jobs import torch_extra
+from tests.reconstruct.drive_capture import drive_capture
+from tests.reconstruct.small_street import small_street
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> Path:
+    """A scene in units of half a metre with y up, and a capture without geometry."""
+    folder = tmp_path_factory.mktemp("transfer")
+    write_scene(small_street(), folder / "scene")
+    list(write_views(folder / "drive", drive_capture(2)))
+    (folder / "notes").mkdir()
+    (folder / "notes" / "mine.txt").write_text("x")
+    return folder
+
+
+def test_the_street_becomes_rainy_and_its_colors_follow(files, tmp_path, capsys):
+    rainy, numbers, sheet = tmp_path / "rainy", tmp_path / "n.json", tmp_path / "sheet.png"
+    command = ["transfer", str(files / "scene"), "-o", str(rainy), "--count", "3", "--width", "64"]
+    assert run([*command, "--json", str(numbers), "--sheet", str(sheet)]) == 0
+    assert f"{rainy}: 3 rainy views of small street" in capsys.readouterr().out
+    told = json.loads(numbers.read_text())
+    assert (told["method"], told["views"]) == ("wet", 3)
+    assert told["seconds"] > 0 and told["seconds_per_view"] == pytest.approx(told["seconds"] / 3, abs=1e-3)
+    views = read_transferred(rainy)
+    assert views.record.settings["wetness"] == 1
+    assert told["film_share_mean"] == pytest.approx(np.mean([view.film.mean() for view in views]), abs=2e-3)
+    assert [view.image.shape for view in views] == [(43, 64, 3)] * 3
+    assert np.abs(views[0].image - views[0].clear.image).mean() > 0.05
+    with Image.open(sheet) as picture:
+        assert picture.width > 1200
+
+    wet = tmp_path / "wet"
+    assert run(["recolor", str(files / "scene"), "--images", str(rainy), "-o", str(wet), "--held-out", "0",
+                "--iterations", "4", "--json", str(numbers)]) == 0  # fmt: skip
+    told = json.loads(numbers.read_text())
+    assert told["psnr_db"] > told["psnr_before_db"] + 6  # cameras are where the pictures were taken
+    assert read_scene(wet).has_wet_colors
+
+
+def test_what_another_program_made_of_the_views_takes_the_place_of_a_transfer(files, tmp_path, capsys, caplog):
+    first, other = tmp_path / "first", tmp_path / "other"
+    common = [str(files / "scene"), "--count", "2", "--width", "48"]
+    assert run(["transfer", *common, "-o", str(first), "--rain", "0"]) == 0
+    other.mkdir()
+    for file in sorted((first / "clear").iterdir()):
+        with Image.open(file) as picture:
+            picture.convert("L").resize((96, 64)).save(other / file.name)
+    assert run(["transfer", *common, "-o", str(first), "--method", "images", "--images", str(other)]) == 0
+    views = read_transferred(first)
+    assert len(views) == 2
+    for view in views:
+        assert np.ptp(view.image, axis=2).max() < 0.02
+        assert np.abs(view.image.mean(axis=2) - view.clear.image @ [0.299, 0.587, 0.114]).mean() < 0.02
+
+
+def test_the_learned_method_runs_from_a_file_of_weights(files, tmp_path):
+    pytest.importorskip("torch")
+    pytest.importorskip("diffusers")
+    from gsrain_engine.appearance.cyclegan_turbo.architecture import tiny
+    from gsrain_engine.appearance.cyclegan_turbo.lora import LoraRanks
+    from gsrain_engine.appearance.cyclegan_turbo.model import build
+    from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights
+
+    weights, out = tmp_path / "tiny.safetensors", tmp_path / "out"
+    save_weights(build(tiny(), True, LoraRanks(2, 2)), weights)
+    command = ["transfer", str(files / "scene"), "-o", str(out), "--count", "2", "--width", "64"]
+    assert run([*command, "--method", "cyclegan-turbo", "--weights", str(weights), "--no-mutual-attention"]) == 0
+    views = read_transferred(out)
+    assert views.record.method == "cyclegan-turbo"
+    assert views.record.settings["mutual_attention"] is False
+    assert [view.image.shape for view in views] == [(43, 64, 3)] * 2
+    assert all(view.film is None for view in views)
+
+
+def test_rain_says_how_wet_it_is(files, tmp_path):
+    out = tmp_path / "out"
+    command = ["transfer", str(files / "scene"), "-o", str(out), "--count", "1", "--width", "48", "--rain", "1.2"]
+    assert run(command) == 0
+    assert read_transferred(out).record.settings["wetness"] == wetness(1.2)
+
+
+def test_pictures_of_a_capture_become_rainy(files, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run(["transfer", str(files / "drive"), "-o", str(out), "--count", "1", "--width", "48"]) == 0
+    capture, drive = open_capture(out), open_capture(files / "drive")
+    assert [view.name for view in capture] == ["1"]
+    np.testing.assert_allclose(capture[0].camera.world_to_camera, drive[1].camera.world_to_camera, atol=1e-9)
+    assert capture[0].camera.fx == pytest.approx(drive[1].camera.fx / 2)
+    sky = slice(0, 8), slice(None)
+    before, after = (read_transferred(out)[0].clear.image[sky], read_transferred(out)[0].image[sky])
+    assert np.ptp(after.mean(axis=(0, 1))) < 0.5 * np.ptp(before.mean(axis=(0, 1)))  # the sky was blue
+
+
+def test_recorded_cameras_of_a_scene_are_those_of_its_capture(files, tmp_path):
+    out = tmp_path / "out"
+    command = ["transfer", str(files / "scene"), "-o", str(out), "--views", "recorded", "--width", "48"]
+    assert run([*command, "--capture", str(files / "drive")]) == 0
+    assert [view.name for view in open_capture(out)] == ["0", "1"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"SOURCE": "nowhere"}, "nowhere: no such file or folder"),
+        ({"--method": "dry"}, "no transfer method 'dry'"),
+        ({"--method": "images"}, "--method images needs --images"),
+        ({"--method": "cyclegan-turbo"}, "--method cyclegan-turbo needs torch"),
+        ({"--method": "cyclegan-turbo", "--weights": "no.pkl"}, "--weights no.pkl: no such file"),
+        ({"--method": "cyclegan-turbo", "--weights": "scene/scene.json"}, "needs torch"),
+        ({"--wetness": "2"}, "--wetness"),
+        ({"--wetness": "0.5", "--rain": "3"}, "exclude each other"),
+        ({"--rain": "-1"}, "--rain -1: must be within 0..100 mm/h"),
+        ({"--count": "0"}, "--count"),
+        ({"--width": "3"}, "--width"),
+        ({"--side": "3"}, "--side"),
+        ({"--views": "path"}, "has no camera path"),
+        ({"--views": "recorded"}, "--views recorded needs --capture"),
+        ({"SOURCE": "drive", "--views": "rig"}, "--views rig: drive is a capture"),
+        ({"SOURCE": "drive", "--capture": "drive"}, "--capture: drive is a capture itself"),
+        ({"--cameras": "roof"}, "no camera roof, only front, left"),
+        ({"-o": "notes"}, "notes: holds other things"),
+        ({"-o": "notes/mine.txt"}, "mine.txt: is a file"),
+        ({"--sheet": "notes/mine.txt/a.png"}, "can't be written"),
+    ],
+)
+def test_bad_input_ends_in_one_line(files, capsys, monkeypatch, changes, expected):
+    monkeypatch.chdir(files)
+    monkeypatch.setattr(torch_extra, "has_torch", lambda: False)
+    options = {"SOURCE": "scene", "-o": "out"} | changes
+    source = options.pop("SOURCE")
+    assert run(["transfer", source, *(word for pair in options.items() for word in pair)]) == 2
+    told = capsys.readouterr().err
+    assert expected in told
+    assert len(told.strip().splitlines()) == 1
+    assert not (files / "out").exists()

@@ -1,0 +1,204 @@
+"""CycleGAN-Turbo over views: sizes, order, tiles, guides, what is held, and the same bytes twice."""
+
+import gc
+import weakref
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("diffusers")
+
+from gsrain_engine.appearance.attention.settings import MutualAttention  # noqa: E402
+from gsrain_engine.appearance.clear_view import ClearView  # noqa: E402
+from gsrain_engine.appearance.cyclegan_turbo.architecture import tiny  # noqa: E402
+from gsrain_engine.appearance.cyclegan_turbo.model import build  # noqa: E402
+from gsrain_engine.appearance.cyclegan_turbo.settings import RunSettings  # noqa: E402
+from gsrain_engine.appearance.cyclegan_turbo.transfer import CycleGanTurboTransfer  # noqa: E402
+from gsrain_engine.appearance.transfer import Transfer  # noqa: E402
+from gsrain_engine.scene.camera import Camera, look_at  # noqa: E402
+
+WIDTH, HEIGHT = 96, 64
+ALONE = RunSettings(side_px=None, mutual=None)
+
+
+def wall(name: str, shift_m: float, width: int = WIDTH, height: int = HEIGHT) -> ClearView:
+    """A view of a painted wall 4 m away, from a place `shift_m` to the side."""
+    eye = np.array([0.0, -shift_m, 1.5])
+    pose = look_at(eye, eye + np.array([1.0, 0, 0]), np.array([0.0, 0, 1]))
+    camera = Camera.from_fov(width, height, 60, pose)
+    rows, columns = np.mgrid[:height, :width] + 0.5
+    y = (columns - camera.cx) / camera.fx * 4 + shift_m
+    z = (rows - camera.cy) / camera.fy * 4
+    image = 0.5 + 0.4 * np.stack([np.sin(3 * y), np.cos(5 * z + y), np.sin(4 * z)], axis=-1)
+    plane = np.zeros((height, width), np.float32)
+    normals = np.zeros((height, width, 3), np.float32)
+    normals[..., 0] = -1
+    return ClearView(name, camera, 0.0, image.astype(np.float32), plane + 4, normals, plane, plane)
+
+
+class Rendered(Sequence):
+    """Views along a wall, each made when it is asked for; knows which are still held."""
+
+    def __init__(self, count):
+        self.count, self.pictures = count, []
+
+    def __len__(self):
+        return self.count
+
+    def __getitem__(self, index):
+        if not 0 <= index < self.count:
+            raise IndexError(index)
+        view = wall(str(index), 0.8 * index)
+        self.pictures.append(weakref.ref(view.image))
+        return view
+
+    @property
+    def held(self):
+        return sum(picture() is not None for picture in self.pictures)
+
+
+@pytest.fixture(scope="module")
+def model():
+    model = build(tiny(), normals=True)
+    with torch.no_grad():  # as if trained: the new channel and the skips count
+        for vae in (model.vae, model.vae_b2a):
+            vae.encoder.conv_in.weight[:, 3] = 0.2
+    return model
+
+
+@pytest.fixture
+def views():
+    return [wall(name, shift) for name, shift in (("left", -0.5), ("centre", 0.0), ("right", 0.5))]
+
+
+def images(model, views, settings):
+    made = {each.clear.name: each for each in CycleGanTurboTransfer(model, settings).transferred(views)}
+    assert sorted(made) == sorted(view.name for view in views)
+    return {name: each.image for name, each in made.items()}
+
+
+def test_it_is_the_models_own_picture(model, views):
+    transfer = CycleGanTurboTransfer(model, ALONE)
+    assert isinstance(transfer, Transfer)
+    (made,) = transfer.transferred(views[:1])
+    picture = torch.from_numpy(views[0].image.transpose(2, 0, 1))[None] * 2 - 1
+    with torch.inference_mode():
+        expected = model.translate(picture, torch.zeros(1, 1, HEIGHT, WIDTH))[0].permute(1, 2, 0).numpy() / 2 + 0.5
+    assert made.clear is views[0]
+    np.testing.assert_allclose(made.image, expected, atol=1e-6)
+    assert np.abs(made.image - views[0].image).max() > 0.05
+
+
+@pytest.mark.parametrize("order", ["outward", "together"])
+def test_the_same_views_give_the_same_bytes(model, views, order):
+    settings = RunSettings(side_px=48, mutual=MutualAttention(order=order))
+    first, second = images(model, views, settings), images(model, views, settings)
+    for name, image in first.items():
+        assert image.tobytes() == second[name].tobytes()
+        assert image.shape == (HEIGHT, WIDTH, 3)
+        assert image.dtype == np.float32
+        assert 0 <= image.min() < image.max() <= 1
+
+
+def test_views_look_at_neighbours_and_the_anchor_does_not(model, views):
+    alone = images(model, views, ALONE)
+    mutual = images(model, views, replace_mutual(ALONE, order="outward"))
+    changed = {name: not np.array_equal(mutual[name], alone[name]) for name in alone}
+    assert changed == {"left": True, "centre": False, "right": True}
+    together = images(model, views, replace_mutual(ALONE, order="together"))
+    assert all(not np.array_equal(together[name], alone[name]) for name in alone)
+
+
+def test_without_neighbours_it_is_as_without_attention(model, views):
+    none = images(model, views, replace_mutual(ALONE, neighbours=0))
+    for name, image in images(model, views, ALONE).items():
+        assert np.array_equal(image, none[name])
+
+
+def test_cameras_only_look_at_what_was_seen_at_their_moment(model, views):
+    apart = [replace(view, time_s=float(i)) for i, view in enumerate(views)]
+    cameras = images(model, apart, replace_mutual(ALONE, among="cameras"))
+    for name, image in images(model, apart, ALONE).items():
+        assert np.array_equal(image, cameras[name])
+    with_time = images(model, apart, replace_mutual(ALONE, among="time"))
+    assert not np.array_equal(with_time["left"], cameras["left"])
+
+
+def test_it_holds_only_what_is_still_looked_at(model):
+    row = Rendered(8)
+    names, held = [], []
+    for made in CycleGanTurboTransfer(model, replace_mutual(ALONE, neighbours=1)).transferred(row):
+        names.append(made.clear.name)
+        held.append(row.held)
+    assert sorted(names) == [str(i) for i in range(8)]
+    assert max(held) <= 4  # this view, the last one made, and both ends of what is done
+    del made
+    gc.collect()
+    assert row.held == 0
+
+
+def test_an_interrupted_run_leaves_the_model_as_it_was(model, views):
+    before = dict(model.unet.attn_processors)
+    stream = CycleGanTurboTransfer(model, RunSettings(side_px=None)).transferred(views)
+    next(stream)
+    assert model.unet.attn_processors != before
+    stream.close()
+    assert model.unet.attn_processors == before
+
+
+def test_normals_guide_it_where_they_are_wanted(model, views):
+    ground = replace(views[0], normals=np.broadcast_to(np.float32([0, 0, 1]), (HEIGHT, WIDTH, 3)))
+    guided = images(model, [ground], ALONE)["left"]
+    without = images(model, [ground], RunSettings(side_px=None, mutual=None, normals="none"))["left"]
+    assert np.abs(guided - without).max() > 0.01
+    unknown = replace(ground, normals=np.zeros((HEIGHT, WIDTH, 3), np.float32))
+    assert np.array_equal(images(model, [unknown], ALONE)["left"], without)
+
+
+def test_an_estimator_is_asked_in_place_of_the_view(model, views):
+    class Ground:
+        def normals(self, image, camera):
+            assert image.shape[:2] == (camera.height, camera.width)
+            return np.broadcast_to(np.float32([0, 0, 1]), image.shape)
+
+    settings = RunSettings(side_px=None, mutual=None, normals="dsine")
+    (estimated,) = CycleGanTurboTransfer(model, settings, Ground()).transferred(views[:1])
+    ground = replace(views[0], normals=np.broadcast_to(np.float32([0, 0, 1]), (HEIGHT, WIDTH, 3)))
+    assert np.array_equal(estimated.image, images(model, [ground], ALONE)["left"])
+
+
+def test_three_channels_need_no_guide(views):
+    narrow = build(tiny(), normals=False)
+    assert images(narrow, views, RunSettings(side_px=None)).keys() == {"left", "centre", "right"}
+
+
+def test_tiles_come_together_without_a_seam(model):
+    large = wall("large", 0.0, width=256, height=128)
+    tiled = images(model, [large], RunSettings(side_px=None, mutual=None, tile_px=128, overlap_px=64))["large"]
+    whole = images(model, [large], ALONE)["large"]
+    assert tiled.shape == whole.shape
+    steps = np.abs(np.diff(tiled, axis=1)).mean(axis=(0, 2))
+    assert steps[[63, 64, 127, 128, 191]].max() < 1.5 * steps.max()
+    assert np.abs(tiled - whole).mean() < 0.1
+
+
+def test_tiles_look_at_other_views_as_whole_pictures_do(model):
+    """A tile as large as the picture is the picture; smaller ones still look around."""
+    pair = [wall("a", 0.0, 128, 128), wall("b", 0.3, 128, 128)]
+    mutual = replace_mutual(ALONE, order="outward")
+    whole = images(model, pair, mutual)
+    as_large = images(model, pair, RunSettings(side_px=None, tile_px=128, mutual=mutual.mutual))
+    small = RunSettings(side_px=None, tile_px=64, overlap_px=0, mutual=mutual.mutual)
+    tiled, apart = images(model, pair, small), images(model, pair, RunSettings(side_px=None, tile_px=64, mutual=None))
+    for name in whole:
+        assert np.array_equal(whole[name], as_large[name])
+    assert sum(not np.array_equal(tiled[name], apart[name]) for name in tiled) >= 1
+
+
+def replace_mutual(settings: RunSettings, **choice) -> RunSettings:
+    import msgspec
+
+    return msgspec.structs.replace(settings, mutual=MutualAttention(px_per_token=(8, 16, 32, 64), **choice))

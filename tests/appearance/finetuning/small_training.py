@@ -1,0 +1,77 @@
+"""A fine-tuning that is over in a second: two looks of small pictures, and networks of one level."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from gsrain_engine.appearance.cyclegan_turbo.architecture import TurboArchitecture, tiny
+from gsrain_engine.appearance.finetuning.finetune import finetune
+from gsrain_engine.appearance.finetuning.iteration import Training
+from gsrain_engine.appearance.finetuning.pictures.open_pictures import open_pictures
+from gsrain_engine.appearance.finetuning.settings import FinetuningSettings
+from gsrain_engine.appearance.finetuning.settings_file import load_finetuning
+from gsrain_engine.appearance.finetuning.start import start_finetuning
+from gsrain_engine.appearance.finetuning.task import TrainingResult, TrainingTask
+from gsrain_engine.scene.progress import Progress
+
+SIDE_PX = 16
+
+
+def small() -> TurboArchitecture:
+    """`tiny` with one level in place of four: the same kinds of layers."""
+    full = tiny()
+    unet = dict(full.unet) | {
+        "attention_head_dim": [2],
+        "block_out_channels": [8],
+        "down_block_types": ["CrossAttnDownBlock2D"],
+        "up_block_types": ["CrossAttnUpBlock2D"],
+        "mid_block_type": None,
+        "layers_per_block": 1,
+    }
+    vae = dict(full.vae) | {
+        "block_out_channels": [8],
+        "down_block_types": ["DownEncoderBlock2D"],
+        "up_block_types": ["UpDecoderBlock2D"],
+    }
+    return replace(full, unet=unet, vae=vae)
+
+
+def write_pictures(folder: Path, count: int = 5) -> tuple[Path, Path]:
+    """Write bright colourful pictures, and dark grey ones of other places; returns the two folders."""
+    random = np.random.default_rng(7)
+    for look in ("clear", "rainy"):
+        (folder / look).mkdir(parents=True)
+        for i in range(count):
+            blocks = np.kron(random.random((4, 4, 3)), np.ones((SIDE_PX // 4, SIDE_PX // 4, 1)))
+            image = 0.35 + 0.6 * blocks if look == "clear" else 0.05 + 0.4 * blocks.mean(2, keepdims=True).repeat(3, 2)
+            Image.fromarray((image * 255).astype(np.uint8)).save(folder / look / f"{i}.png")
+    return folder / "clear", folder / "rainy"
+
+
+def small_settings(folder: Path, **changes: Any) -> FinetuningSettings:
+    """Settings of the shipped `tiny` with small pictures, which are written where they are not there."""
+    if not (folder / "clear").is_dir():
+        write_pictures(folder)
+    sources = {look: [{"path": str(folder / look)}] for look in ("clear", "rainy")}
+    pictures = sources | {"width_px": SIDE_PX, "height_px": SIDE_PX}
+    usual = {"pictures": pictures, "lora": {"unet": 4, "vae": 4}, "sampled_every": 0, "saved_every": 0, "samples": 1}
+    return load_finetuning("tiny", **(usual | changes))
+
+
+def small_start(settings: FinetuningSettings) -> Training:
+    return start_finetuning(settings, open_pictures(settings.pictures).train)
+
+
+def run(task: TrainingTask) -> tuple[TrainingResult, Sequence[Progress]]:
+    """Fine-tune to the end."""
+    work = finetune(task)
+    steps: list[Progress] = []
+    while True:
+        try:
+            steps.append(next(work))
+        except StopIteration as end:
+            return end.value, steps

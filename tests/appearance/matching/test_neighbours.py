@@ -1,0 +1,41 @@
+"""Who sees what whom: in time, across cameras, and by lidar alone."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from appearance.matching.street_views import made_view, street_camera, street_views
+from gsrain_engine.appearance.matching.neighbours import neighbours
+
+
+def test_the_nearest_on_the_way_come_first_and_another_camera_has_a_place():
+    views = list(street_views().values())  # first, second, third, left
+    assert neighbours(views, 1)[:3] == [(1,), (0,), (1,)]
+    assert neighbours(views, 2)[1] == (0, 3)
+    assert neighbours(views, 3)[0] == (1, 2, 3)
+    assert neighbours(views, 2) == neighbours(views, 2)
+
+
+def test_views_of_one_camera_are_not_held_back_for_another():
+    views = [replace(view, sensor="") for view in street_views().values()]
+    assert neighbours(views, 2)[1] == (0, 2)
+
+
+def test_opposite_views_and_views_without_depth_have_no_neighbours():
+    views = street_views()
+    camera = street_camera(0.0, np.pi)
+    away = made_view(camera, np.full((240, 360), 5.0))
+    blind = made_view(camera, np.zeros((240, 360)))
+    found = neighbours([views["first"], views["second"], away, blind], 3)
+    assert found[0] == (1,)
+    assert found[2] == (3,)  # where nothing is known, nothing is hidden
+    assert found[3] == ()
+
+
+def test_a_few_lidar_points_are_enough():
+    measured = np.random.default_rng(1).random((240, 360)) < 0.004
+    views = [
+        replace(view, depth=np.where(measured, view.depth, 0), sky=np.zeros_like(view.sky))
+        for view in street_views().values()
+    ]
+    assert neighbours(views, 1)[:3] == [(1,), (0,), (1,)]
