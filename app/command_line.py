@@ -38,12 +38,27 @@ for name, summary in COMMANDS.items():
 benchmarks = App(name="bench", help="Time this machine.")
 benchmarks.command("app.commands.bench:render", name="render", help="Time frames of fixed scenes.")
 app.command(benchmarks)
+_CONSISTENCY = """Whether neighbouring views agree with each other, before a transfer and after it.
+
+Views are warped onto their neighbours by depth. The error after should be that before: what a transfer does differently
+in each view makes it grow. Reflections in water move with the eye: errors outside its film ("dry") are told as well.
+
+The paper's two ablations, without normals and without mutual self-attention:
+
+gsrain transfer SCENE -o full --method cyclegan-turbo --weights FILE
+
+gsrain transfer SCENE -o no-normals --method cyclegan-turbo --weights FILE --no-normals
+
+gsrain transfer SCENE -o no-attention --method cyclegan-turbo --weights FILE --no-mutual-attention
+
+gsrain evaluate consistency full no-normals no-attention --sheet ablations.png
+"""
 evaluations = App(name="evaluate", help="Compare what is made with what cameras see.")
 evaluations.command("app.commands.evaluate:streaks", name="streaks", help="Rain streaks: real ones, and ours.")
 evaluations.command(
     "app.commands.consistency:consistency",
     name="consistency",
-    help="Whether neighbouring views agree with each other, before a transfer and after it.",
+    help=_CONSISTENCY,
 )
 app.command(evaluations)
 

@@ -37,8 +37,10 @@ def consistency(
         float, Parameter(help="Share of mirrored light, 0..1, from which on a pixel counts as water film.")
     ] = FILM_SHARE,
     width: Annotated[int | None, Parameter(help="Most pixels across a capture's pictures; default: 960.")] = None,
-    lpips: Annotated[Path | None, Parameter(help="Weights of LPIPS; default: those of this machine, if any.")] = None,
-    no_lpips: Annotated[bool, Parameter(help="Leave LPIPS out, which takes a second a pair.", negative="")] = False,
+    lpips: Annotated[
+        str | None,
+        Parameter(help="LPIPS too: alex (some seconds a pair) or vgg (slower) of this machine, or a file of weights."),
+    ] = None,
     sheet: Annotated[Path | None, Parameter(help="Picture of some pairs, warped, with their errors (.png).")] = None,
     sheet_pairs: Annotated[int, Parameter(help="Pairs on that picture.")] = 4,
     json: Annotated[
@@ -51,16 +53,6 @@ def consistency(
     The error after should be that before: what a transfer adds differently in each view makes it grow. Reflections in
     water move with the eye, so that errors outside the water film are told as well. Errors are the root of the mean
     square over matched pixels, in levels of 255; "per contrast" divides each by its picture's contrast.
-
-    The paper's two ablations, normals and mutual self-attention, are these commands, with SCENE a scene or a capture:
-
-    gsrain transfer SCENE -o full --method cyclegan-turbo --weights FILE
-
-    gsrain transfer SCENE -o plain-normals --method cyclegan-turbo --weights FILE --no-normals
-
-    gsrain transfer SCENE -o plain-attention --method cyclegan-turbo --weights FILE --no-mutual-attention
-
-    gsrain evaluate consistency full plain-normals plain-attention --sheet ablations.png
     """
     _check(folders, neighbours, film, sheet_pairs)
     check_writable(sheet, None if json == _SCREEN else json)
@@ -69,7 +61,7 @@ def consistency(
     if not pairs:
         raise ValueError(f"{folders[0]}: no two views show the same place, or their depth is not known")
     own_pairs = [each.alike(compared[0], pairs) for each in compared]
-    perceived = None if no_lpips else _perceived(lpips)
+    perceived = None if lpips is None else _perceived(lpips)
     results: list[list[PairAgreement]] = []
     with progress_bar("Comparing", len(pairs) * len(compared)) as advance:
         for each, own in zip(compared, own_pairs, strict=True):
@@ -101,17 +93,16 @@ def _check(folders: Sequence[Path], neighbours: int, film: float, sheet_pairs: i
         raise ValueError(f"--sheet-pairs {sheet_pairs}: must be within 1..40")
 
 
-def _perceived(weights: Path | None) -> Perceived | None:
-    """LPIPS from a file, or from this machine; None where nothing is asked for and torch or weights are missing."""
+def _perceived(weights: str) -> Perceived:
+    """LPIPS of a network whose weights this machine has, or of a file."""
     try:
         from gsrain_engine.evaluate.lpips import Lpips  # torch is an extra
         from gsrain_engine.evaluate.lpips_weights import find_lpips_weights, read_lpips_weights
-
-        return Lpips(find_lpips_weights("vgg") if weights is None else read_lpips_weights(weights)).distance
-    except (FileNotFoundError, ModuleNotFoundError):
-        if weights is not None:
-            raise
-        return None
+    except ModuleNotFoundError as error:
+        raise ValueError(f"--lpips needs {error.name}: pip install gsrain[jobs]") from None
+    if weights == "alex" or weights == "vgg":
+        return Lpips(find_lpips_weights(weights)).distance
+    return Lpips(read_lpips_weights(Path(weights))).distance
 
 
 def _draw(path: Path, compared: Sequence[ComparedViews], pairs: Sequence[_Pairs], film: float, most: int) -> None:

@@ -86,9 +86,9 @@ def print_agreements(
         "ratio",
         "per contrast",
         "dry",
-        "before",
-        "after",
-        "ratio",
+        "dry before",
+        "dry after",
+        "dry ratio",
     ]
     table = Table(*names, *(["LPIPS before", "after", "ratio"] if with_lpips else []), box=None)
     for each, rows in zip(compared, results, strict=True):

@@ -124,7 +124,7 @@ def written(tmp_path):
 def test_folders_are_compared_side_by_side(written, capsys):
     folders = [str(written / "alike"), str(written / "mirroring")]
     files = ["--json", str(written / "c.json"), "--sheet", str(written / "c.png")]
-    assert run(["evaluate", "consistency", *folders, "--no-lpips", *files, "--sheet-pairs", "1"]) == 0
+    assert run(["evaluate", "consistency", *folders, *files, "--sheet-pairs", "1"]) == 0
     report = json.loads((written / "c.json").read_text())
     alike, mirroring = report["means"]
     assert (alike["method"], alike["settings"], alike["pairs"]) == ("alike", {"seed": 1}, 8)
@@ -146,7 +146,7 @@ def test_folders_are_compared_side_by_side(written, capsys):
 def test_a_capture_of_another_tool_has_only_an_after(written):
     capture = written / "alike"
     (capture / "transfer.json").unlink()
-    assert run(["evaluate", "consistency", str(capture), "--no-lpips", "--json", str(written / "c.json")]) == 0
+    assert run(["evaluate", "consistency", str(capture), "--json", str(written / "c.json")]) == 0
     mean = json.loads((written / "c.json").read_text())["means"][0]
     assert mean["rmse_before"] is None
     assert mean["ratio"] is None
@@ -160,8 +160,32 @@ def test_bad_input_is_told_in_one_line(written, capsys):
     assert "nowhere" in capsys.readouterr().err
     assert run(["evaluate", "consistency", folder, "--film", "2"]) == BAD_INPUT
     assert "--film 2: must be within 0..1" in capsys.readouterr().err
+    assert run(["evaluate", "consistency", folder, "--lpips", str(written / "none.pth")]) == BAD_INPUT
+    assert "none.pth" in capsys.readouterr().err
     record = TransferRecord("few", "street")
     for _ in write_transferred(written / "few", iter(_all(_alike)[:2]), record):
         pass
-    assert run(["evaluate", "consistency", folder, str(written / "few"), "--no-lpips"]) == BAD_INPUT
+    assert run(["evaluate", "consistency", folder, str(written / "few")]) == BAD_INPUT
     assert "few: has no view 'left'" in capsys.readouterr().err
+
+
+def test_lpips_is_told_where_weights_are_given(written, monkeypatch):
+    pytest.importorskip("torch")
+    from evaluate.random_lpips import random_weights
+
+    random_weights("alex", seed=4).write(written / "lpips.npz")
+    monkeypatch.setenv("GSRAIN_LPIPS_WEIGHTS", str(written / "lpips.npz"))
+    few = written / "few"
+    for _ in write_transferred(few, iter(_all(_unlike)[:2]), TransferRecord("unlike", "street")):
+        pass
+    assert run(["evaluate", "consistency", str(few), "--lpips", "alex", "--json", str(written / "c.json")]) == 0
+    mean = json.loads((written / "c.json").read_text())["means"][0]
+    assert mean["lpips_after"] > mean["lpips_before"] > 0
+    assert mean["lpips_ratio"] == pytest.approx(mean["lpips_after"] / mean["lpips_before"])
+
+
+def test_the_help_names_the_papers_ablations(capsys):
+    assert run(["evaluate", "consistency", "--help"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "--no-normals" in out
+    assert "--no-mutual-attention" in out

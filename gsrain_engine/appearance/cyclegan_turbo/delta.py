@@ -67,6 +67,8 @@ def take_in(model: CycleGanTurbo, delta: TurboDelta) -> None:
         raise ValueError(f"{delta.source}: the model has weights from {model.delta.source} already")
     tensors = plain_tensors(model)
     delta = _fitted(delta, tensors)
+    if delta.captions is not None:
+        model.check_captions(*delta.captions)
     with torch.no_grad():
         if model.adapted:
             _into_adapters(model, delta)

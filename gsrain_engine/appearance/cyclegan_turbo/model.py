@@ -57,15 +57,18 @@ class CycleGanTurbo(torch.nn.Module):
 
     def set_captions(self, a2b: Tensor, b2a: Tensor) -> None:
         """Set what the text encoder makes of the two captions; raises ValueError for other shapes."""
-        wanted = self.architecture.caption_shape
-        captions = {"a2b": a2b, "b2a": b2a}
-        for name, caption in captions.items():
-            if tuple(caption.shape) != wanted:
-                raise ValueError(f"caption {name} is {tuple(caption.shape)}; this UNet takes {wanted}")
+        self.check_captions(a2b, b2a)
         like = self.unet.conv_out.bias
-        for name, caption in captions.items():
+        for name, caption in (("a2b", a2b), ("b2a", b2a)):
             value = caption.detach().to(like.device, like.dtype).clone()
             self.register_buffer(f"caption_{name}", value, persistent=False)
+
+    def check_captions(self, a2b: Tensor, b2a: Tensor) -> None:
+        """Raise ValueError where `set_captions` would."""
+        wanted = self.architecture.caption_shape
+        for name, caption in (("a2b", a2b), ("b2a", b2a)):
+            if tuple(caption.shape) != wanted:
+                raise ValueError(f"caption {name} is {tuple(caption.shape)}; this UNet takes {wanted}")
 
     def translate(self, pictures: Tensor, guides: Tensor | None = None, direction: Direction = "a2b") -> Tensor:
         """Pictures (b, 3, h, w) in [-1, 1] in the other domain; the same input gives the same output.

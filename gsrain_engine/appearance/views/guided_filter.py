@@ -39,5 +39,6 @@ def guided(
     with_value = mean(guide * (values * weight)[..., None]) / total[..., None] - color * value[..., None]
     slope = np.linalg.solve(covariance, with_value[..., None])[..., 0]
     offset = value - (slope * color).sum(axis=-1)
-    fitted = (mean(slope) * guide).sum(axis=-1) + mean(offset)
-    return fitted.astype(np.float32)
+    told = (mean(weight) > 1e-6).astype(np.float32)  # windows in which anything is known have a say
+    fitted = (mean(slope * told[..., None]) * guide).sum(axis=-1) + mean(offset * told)
+    return (fitted / np.maximum(mean(told), 1e-6)).astype(np.float32)

@@ -26,7 +26,7 @@ class MirroredLight(NamedTuple):
     """What comes to the eye from the water's surface."""
 
     color: Float32[np.ndarray, "h w 3"]
-    """Linear light."""
+    """Linear light, times its share."""
     share: Float32[np.ndarray, "h w"]
     """Share of light that the surface mirrors towards the eye, 0..1."""
 
@@ -56,14 +56,15 @@ def mirrored_light(
         points_m, normals, slopes, eye, camera.world_to_camera, lens, mirrored.depth, picture.values, picture.table,
         facets, color, share,
     )  # fmt: skip
-    return MirroredLight(_without_specks(color, slopes >= 0), share)
+    mean = _without_specks(color / np.maximum(share, np.float32(1e-6))[..., None], slopes >= 0)
+    return MirroredLight(share[..., None] * mean, share)
 
 
-def _without_specks(color: Float32[np.ndarray, "h w 3"], told: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 3"]:
+def _without_specks(mean: Float32[np.ndarray, "h w 3"], told: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 3"]:
     """Take away single pixels whose rays found another thing than those around them, at the edges of things."""
     window = np.ones((_SPECK_PX, _SPECK_PX), np.uint8)
     inner = cv2.erode(told.astype(np.uint8), window, borderValue=1)
-    return np.where(inner[..., None] > 0, cv2.medianBlur(color, _SPECK_PX), color)
+    return np.where(inner[..., None] > 0, cv2.medianBlur(mean, _SPECK_PX), mean)
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")

@@ -161,7 +161,7 @@ def _report(view: ProblemView, setup: SetUp, solution: Solution, trust: float, *
     return ViewReport(seen.target.name, is_held_out, trust, *figures)
 
 
-def _preview(picture: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+def _preview(picture: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
     shrink = min(1.0, _PREVIEW_WIDTH_PX / picture.shape[1])
     small = cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
     return np.rint(small * np.float32(255)).astype(np.uint8)

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsrain_engine.appearance.cyclegan_turbo.frames import blended, brought_back, frame_size, resized, tiles
@@ -19,11 +19,12 @@ def test_sizes_keep_proportions(size, side, expected):
     assert frame_size(*size, side, 8) == expected
 
 
+@settings(max_examples=25)
 @given(
-    st.integers(2, 40), st.integers(2, 40), st.sampled_from([64, 128, 192]), st.integers(0, 160), st.integers(0, 2**32)
+    st.integers(1, 8), st.integers(1, 8), st.sampled_from([64, 128, 192]), st.integers(0, 160), st.integers(0, 2**32)
 )
 def test_tiles_cover_everything_and_blend_to_the_same_picture(rows, columns, tile, overlap, seed):
-    height, width = 64 * min(rows, 8), 64 * min(columns, 8)
+    height, width = 64 * rows, 64 * columns
     windows = tiles(height, width, tile, overlap, 64)
     picture = np.random.default_rng(seed).random((height, width, 1), dtype=np.float32)
     parts = [picture[w.top : w.top + w.height, w.left : w.left + w.width] for w in windows]

@@ -1,3 +1,5 @@
+"""CycleGAN-Turbo: the step, the skips, the fourth channel, and what training starts from."""
+
 from copy import deepcopy
 from typing import Any
 

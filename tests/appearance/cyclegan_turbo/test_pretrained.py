@@ -1,3 +1,5 @@
+"""SD-Turbo from a folder: found, checked to be whole, with captions, and with a transfer's weights in it."""
+
 import json
 import shutil
 from functools import cache

@@ -1,3 +1,5 @@
+"""Files of weights in every layout: what they compute, and what is refused by name."""
+
 from copy import deepcopy
 from pathlib import Path
 from typing import Any

@@ -7,7 +7,6 @@ from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.pixels.completed_depth import completed_depth
 from gsrain_engine.datasets.pixels.measured_depth import completed_depths, measured_depths
 from gsrain_engine.datasets.pixels.road_plane import road_depth, road_drop
-
 from tests.reconstruct.drive_capture import ROAD_Z, drive_capture, world_depth
 
 

@@ -20,7 +20,6 @@ from gsrain_engine.datasets.pixels.moving_masks import (
     with_camera_masks,
 )
 from gsrain_engine.datasets.prepared import prepared
-
 from tests.reconstruct.drive_capture import HEIGHT, ROAD_Z, WIDTH, box, drive_capture
 
 
