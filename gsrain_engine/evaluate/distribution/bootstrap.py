@@ -1,0 +1,77 @@
+"""How far a distance would vary with other pictures: confidence intervals by resampling pictures."""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64, Int64
+
+from .frechet import frechet_distance, rotated
+from .kernel_distance import weighted_distances
+
+CONFIDENCE = 0.95
+
+Features = Float[np.ndarray, "_ d"]
+Advance = Callable[[], None]
+
+
+class Interval(NamedTuple):
+    """The ends between which a value lies with `CONFIDENCE`."""
+
+    low: float
+    high: float
+
+
+def frechet_interval(
+    real: Features, fake: Features, resamples: int, seed: int, advance: Advance = lambda: None
+) -> Interval:
+    """Return how far the Frechet distance varies between sets of pictures as large as these.
+
+    Pictures of each set are drawn again with repeats (Efron 1979). Resamples hold fewer different pictures and so their
+    distances are too high, as those of few pictures are; that shift is taken out: the interval is the value plus the
+    quantiles of the resampled distances around their mean. It tells nothing of how far the value itself is too
+    high for want of pictures: `small_samples` does. `advance` is called after each resample.
+    """
+    value = frechet_distance(real, fake)
+    points = rotated(real, fake)
+    distances: list[float] = []
+    for chosen in _drawn(len(real), len(fake), resamples, seed):
+        distances.append(frechet_distance(points[0][chosen[0]], points[1][chosen[1]]))
+        advance()
+    shifts = np.array(distances) - np.mean(distances)
+    interval = quantiles(shifts)
+    return Interval(max(value + interval.low, 0.0), value + interval.high)
+
+
+def kernel_interval(
+    real: Features, fake: Features, resamples: int, seed: int, shared: Bool[np.ndarray, "_ _"] | None = None
+) -> Interval:
+    """Return how far KID varies between sets of pictures as large as these; nothing is shifted, for it has no bias."""
+    weights = [np.empty((len(each), resamples)) for each in (real, fake)]
+    for k, chosen in enumerate(_drawn(len(real), len(fake), resamples, seed)):
+        for own, drawn in zip(weights, chosen, strict=True):
+            own[:, k] = np.bincount(drawn, minlength=len(own))
+    return quantiles(weighted_distances(real, fake, weights[0], weights[1], shared))
+
+
+def quantiles(values: Float64[np.ndarray, " n"]) -> Interval:
+    """Return the ends of the middle `CONFIDENCE` of some values."""
+    outside = (1 - CONFIDENCE) / 2
+    low, high = np.nanquantile(values, (outside, 1 - outside))
+    return Interval(float(low), float(high))
+
+
+def _drawn(
+    real: int, fake: int, resamples: int, seed: int
+) -> Iterator[tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " m"]]]:
+    """Yield numbers of pictures, with repeats; at least two different ones of each set, as every distance needs."""
+    random = np.random.default_rng(seed)
+    for _ in range(resamples):
+        yield _some(random, real), _some(random, fake)
+
+
+def _some(random: np.random.Generator, count: int) -> Int64[np.ndarray, " n"]:
+    while True:
+        drawn = random.integers(0, count, count)
+        if (drawn != drawn[0]).any():
+            return drawn

@@ -1,0 +1,94 @@
+"""The things in a scene that have a class and a box: its actors, and the built-in street's parked cars."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from .gaussians import Gaussians
+from .members import Actor, Layer
+from .rotations import quaternions_from_matrices
+from .scene import Scene
+from .street.parked_cars import PARKED_LAYER, ParkedCarBox, parked_car_boxes
+from .track import Track
+
+_MARGIN_M = 0.08
+"""Mirrors and Gaussians that stand over the edge of a box are the thing's own."""
+_SHADOW_HEIGHT_M, _SHADOW_OPACITY = 0.1, 0.9
+"""What lies lower and is less opaque is the shadow that a thing carries along."""
+_LEAST_SHARE = 0.95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneObject:
+    """A thing in a scene, and which Gaussians show it."""
+
+    id: str
+    class_name: str
+    size_lwh: tuple[float, float, float]
+    """Length, width, height in the scene's units."""
+    track: Track
+    """From the object's frame (x forward, y left, z up, origin at the bottom centre) to the scene."""
+    member: str
+    """Key of the layer or actor that holds its Gaussians."""
+    rows: Int64[np.ndarray, " n"]
+    """Which of the member's Gaussians, rising."""
+
+
+def scene_objects(scene: Scene) -> tuple[SceneObject, ...]:
+    """Find what has a class and a box, visible members only: actors first, then the street's parked cars."""
+    actors = [_of_actor(actor) for actor in scene.actors if actor.visible]
+    parked = [layer for layer in scene.layers if layer.name == PARKED_LAYER and layer.visible]
+    if scene.name != "street" or not parked:
+        return tuple(actors)
+    return *actors, *_parked(parked[0], parked_car_boxes())
+
+
+def _of_actor(actor: Actor) -> SceneObject:
+    own = _inside(actor.gaussians.means.astype(np.float64), actor.size_lwh) & ~_is_shadow(actor.gaussians)
+    rows = np.flatnonzero(own) if own.any() else np.arange(len(actor.gaussians))
+    return SceneObject(actor.id, actor.class_name, actor.size_lwh, actor.track, actor.key, _kept(actor, rows))
+
+
+def _parked(layer: Layer, boxes: Iterable[ParkedCarBox]) -> list[SceneObject]:
+    """Share out a layer's Gaussians among boxes; nothing where most lie in none, for it then is another street."""
+    means = layer.gaussians.means.astype(np.float64)
+    objects: list[SceneObject] = []
+    for box in boxes:
+        rotation, origin = box.to_street[:3, :3], box.to_street[:3, 3]
+        near = np.flatnonzero(np.abs(means[:, :2] - origin[:2]).max(axis=1) < max(box.size_lwh))
+        rows = near[_inside((means[near] - origin) @ rotation, box.size_lwh)]
+        track = _standing(layer.to_scene @ box.to_street)
+        scale = float(np.cbrt(np.linalg.det(layer.to_scene[:3, :3])))
+        length, width, height = (scale * side for side in box.size_lwh)
+        objects.append(SceneObject(box.id, "car", (length, width, height), track, layer.key, _kept(layer, rows)))
+    found = len(means) > 0 and sum(len(each.rows) for each in objects) >= _LEAST_SHARE * _present(layer)
+    return [each for each in objects if len(each.rows)] if found else []
+
+
+def _inside(points: Float64[np.ndarray, "n 3"], size_lwh: tuple[float, float, float]) -> Bool[np.ndarray, " n"]:
+    """Which points in an object's frame lie in its box, or nearly so."""
+    reach = np.array(size_lwh) / 2 + _MARGIN_M
+    return np.asarray((np.abs(points - [0, 0, size_lwh[2] / 2]) <= reach).all(axis=1))
+
+
+def _is_shadow(gaussians: Gaussians) -> Bool[np.ndarray, " n"]:
+    return (gaussians.means[:, 2] < _SHADOW_HEIGHT_M) & (gaussians.opacities < _SHADOW_OPACITY)
+
+
+def _kept(member: Layer | Actor, rows: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " m"]:
+    """Rows that are drawn: neither hidden nor deleted."""
+    left_out = member.marks.left_out
+    return rows if left_out is None else rows[~left_out.flags[rows]]
+
+
+def _present(layer: Layer) -> int:
+    left_out = layer.marks.left_out
+    return len(layer.gaussians) - (0 if left_out is None else left_out.size)
+
+
+def _standing(pose: Float64[np.ndarray, "4 4"]) -> Track:
+    turn = pose[:3, :3] / np.cbrt(np.linalg.det(pose[:3, :3]))
+    quaternion = np.asarray(quaternions_from_matrices(turn[None]), np.float64)
+    return Track(np.zeros(1), pose[None, :3, 3].copy(), quaternion, np.ones(1, bool))
