@@ -17,6 +17,9 @@ settings.load_profile("gsrain")
 _OWN = tempfile.TemporaryDirectory(prefix="gsrain-tests-")
 os.environ["XDG_STATE_HOME"] = os.environ["XDG_CONFIG_HOME"] = _OWN.name
 
+# Two test processes share two cores: torch's threads would only wait for each other. Kernels of ours have their own.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
