@@ -1,6 +1,5 @@
 """A rain calibration: drop number and size over the rainfall intensity, and fall speed over the diameter."""
 
-from importlib import resources
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +11,9 @@ from jaxtyping import Float
 from msgspec import Meta
 
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.shipped_configs import load_config, shipped_names
+
+_FOLDER = "calibrations"
 
 Positive = Annotated[float, Meta(gt=0)]
 Interval = tuple[float, float]
@@ -94,19 +96,7 @@ def load_calibration(name: str) -> Calibration:
 
     Raises `ValueError` with the file, the field and the allowed range.
     """
-    shipped = resources.files("sample_configs").joinpath("calibrations", f"{name}.yaml")
-    if shipped.is_file():
-        data, where = shipped.read_bytes(), f"calibration {name}"
-    else:
-        path = Path(name)
-        if not path.is_file():
-            known = ", ".join(calibration_names())
-            raise ValueError(f"calibration {name!r}: no such file, and none of the shipped ones ({known})")
-        data, where = path.read_bytes(), str(path)
-    try:
-        return msgspec.yaml.decode(data, type=Calibration)
-    except msgspec.MsgspecError as error:
-        raise ValueError(f"{where}: {error}") from None
+    return load_config(_FOLDER, name, Calibration, "calibration")
 
 
 def save_calibration(calibration: Calibration, path: Path) -> None:
@@ -120,5 +110,4 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
 
 def calibration_names() -> list[str]:
     """Names of the shipped calibrations."""
-    folder = resources.files("sample_configs").joinpath("calibrations")
-    return sorted(file.name.removesuffix(".yaml") for file in folder.iterdir() if file.name.endswith(".yaml"))
+    return shipped_names(_FOLDER)

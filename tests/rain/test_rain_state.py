@@ -133,7 +133,7 @@ def test_bad_presets_name_file_field_and_range(tmp_path, text, words):
 
 
 def test_unknown_preset_lists_the_known_ones():
-    with pytest.raises(ValueError, match=r"clear, 1.2, 8.5, 12.0, paper"):
+    with pytest.raises(ValueError, match=r"1.2, 12.0, 8.5, clear, paper"):
         load_preset("drizzle")
 
 

@@ -1,11 +1,14 @@
 """What a person can choose about a reconstruction: one value, which is also its YAML file and its help text."""
 
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
 import msgspec
 from msgspec import Meta
+
+from gsrain_engine.shipped_configs import load_values, shipped_names
+
+_FOLDER = "reconstruct"
 
 Weight = Annotated[float, Meta(ge=0, le=100)]
 Rate = Annotated[float, Meta(gt=0, le=1)]
@@ -135,7 +138,7 @@ def load_settings(name: str | Path | None = None, **changes: Any) -> TrainingSet
 
     Changes that are None are passed over. Raises ValueError with the file or option, the field and what is allowed.
     """
-    values = {} if name is None else _read(str(name))
+    values = {} if name is None else load_values(_FOLDER, name, "--config")
     changed = {key: value for key, value in changes.items() if value is not None}
     try:
         msgspec.convert(values, TrainingSettings)
@@ -152,23 +155,4 @@ def help_of(name: str) -> str:
 
 def settings_names() -> list[str]:
     """Names of the shipped settings."""
-    folder = resources.files("sample_configs").joinpath("reconstruct")
-    return sorted(file.name.removesuffix(".yaml") for file in folder.iterdir() if file.name.endswith(".yaml"))
-
-
-def _read(name: str) -> dict[str, Any]:
-    if name in settings_names():
-        data = resources.files("sample_configs").joinpath("reconstruct", f"{name}.yaml").read_bytes()
-    else:
-        path = Path(name)
-        if not path.is_file():
-            known = ", ".join(settings_names())
-            raise ValueError(f"--config {name}: no such file, and none of the shipped ones ({known})")
-        data = path.read_bytes()
-    try:
-        values = msgspec.yaml.decode(data)
-    except msgspec.MsgspecError as error:
-        raise ValueError(f"{name}: {error}") from None
-    if not isinstance(values, dict):
-        raise ValueError(f"{name}: expected a YAML mapping of settings such as `steps: 1500`")
-    return {str(key): value for key, value in values.items()}
+    return shipped_names(_FOLDER)
