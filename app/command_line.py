@@ -60,6 +60,28 @@ evaluations.command(
     name="consistency",
     help=_CONSISTENCY,
 )
+evaluations.command(
+    "app.commands.evaluate_fid:fid", name="fid", help="FID and KID of pictures to real ones, with how sure they are."
+)
+evaluations.command(
+    "app.commands.evaluate_images:images", name="images", help="PSNR, SSIM and LPIPS of pictures of the same names."
+)
+evaluations.command(
+    "app.commands.evaluate_weights:lpips_weights", name="lpips-weights", help="Convert LPIPS weights to plain arrays."
+)
+evaluations.command(
+    "app.commands.evaluate_weights:inception_weights",
+    name="inception-weights",
+    help="Convert the Inception weights of FID to plain arrays.",
+)
+evaluations.command(
+    "app.commands.evaluate_detection:detection",
+    name="detection",
+    help="What rain does to object detectors: confidence, boxes, classes and mAP by intensity.",
+)
+evaluations.command(
+    "app.commands.evaluate_lidar:lidar", name="lidar", help="A lidar in rain: returns kept, lost and made up, by range."
+)
 app.command(evaluations)
 
 

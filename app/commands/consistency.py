@@ -13,11 +13,11 @@ from rich.console import Console
 from gsrain_engine.evaluate.consistency.folders import ComparedViews, open_compared
 from gsrain_engine.evaluate.consistency.pairs import FILM_SHARE, PairAgreement, agreements, warped_pair
 from gsrain_engine.evaluate.consistency.sheet import ShownPair, consistency_sheet
-from gsrain_engine.evaluate.consistency.warp_error import Perceived
 
 from .arguments import write_numbers
 from .consistency_numbers import print_agreements, report_of
 from .outputs import check_writable
+from .perceived import perceived_distance
 from .progress import progress_bar
 
 _SCREEN = Path("-")
@@ -61,7 +61,7 @@ def consistency(
     if not pairs:
         raise ValueError(f"{folders[0]}: no two views show the same place, or their depth is not known")
     own_pairs = [each.alike(compared[0], pairs) for each in compared]
-    perceived = None if lpips is None else _perceived(lpips)
+    perceived = None if lpips is None else perceived_distance(lpips)
     results: list[list[PairAgreement]] = []
     with progress_bar("Comparing", len(pairs) * len(compared)) as advance:
         for each, own in zip(compared, own_pairs, strict=True):
@@ -91,18 +91,6 @@ def _check(folders: Sequence[Path], neighbours: int, film: float, sheet_pairs: i
         raise ValueError(f"--film {film:g}: must be within 0..1")
     if not 1 <= sheet_pairs <= 40:
         raise ValueError(f"--sheet-pairs {sheet_pairs}: must be within 1..40")
-
-
-def _perceived(weights: str) -> Perceived:
-    """LPIPS of a network whose weights this machine has, or of a file."""
-    try:
-        from gsrain_engine.evaluate.lpips import Lpips  # torch is an extra
-        from gsrain_engine.evaluate.lpips_weights import find_lpips_weights, read_lpips_weights
-    except ModuleNotFoundError as error:
-        raise ValueError(f"--lpips needs {error.name}: pip install gsrain[jobs]") from None
-    if weights == "alex" or weights == "vgg":
-        return Lpips(find_lpips_weights(weights)).distance
-    return Lpips(read_lpips_weights(Path(weights))).distance
 
 
 def _draw(path: Path, compared: Sequence[ComparedViews], pairs: Sequence[_Pairs], film: float, most: int) -> None:

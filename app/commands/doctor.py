@@ -30,6 +30,7 @@ def doctor(*, json: JsonFile = None) -> int:
         _cuda(),
         _gsplat(),
         find_lpips(),
+        find_inception(),
         _package("diffusers", "gsrain transfer --method cyclegan-turbo", "diffusion"),
         _package("transformers", "the text encoder of cyclegan-turbo", "diffusion"),
         _package("peft", "gsrain train-transfer", "diffusion"),
@@ -37,6 +38,8 @@ def doctor(*, json: JsonFile = None) -> int:
         find_text_encoder(),
         find_transfer_weights(),
         find_clip_model(),
+        _package("onnxruntime", "the detectors of gsrain evaluate detection", "evaluate"),
+        _package("pycocotools", "average precision in gsrain evaluate detection", "evaluate"),
         _package("pyarrow", "Waymo Perception v2 (Parquet tables)", "waymo"),
         _package("protobuf", "Waymo Perception v1 (TFRecord files)", "waymo"),
     ]
@@ -160,6 +163,26 @@ def find_lpips() -> Finding:
     except FileNotFoundError:
         return Finding(name, False, missing)
     return Finding(name, False, f"only AlexNet at {places}, used where --lpips names its file; {missing}")
+
+
+def find_inception() -> Finding:
+    """Look for Inception's weights, by which FID is defined; they are read where torch is there to hold them."""
+
+    def file() -> str:
+        from gsrain_engine.evaluate.distribution.network_weights import (
+            inception_weights,
+            inception_weights_file,
+            is_torchscript,
+        )
+
+        found = inception_weights_file()
+        if is_torchscript(found):
+            return f"{found}, TorchScript: gsrain evaluate fid takes it with --torchscript"
+        if importlib.util.find_spec("torch") is not None:
+            inception_weights(found)
+        return str(found)
+
+    return _tried("Inception weights (of FID)", file, "")
 
 
 def find_base_model() -> Finding:

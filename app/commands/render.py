@@ -4,7 +4,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 from msgspec import structs
@@ -12,6 +12,7 @@ from msgspec import structs
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.render.backends import Backend, open_renderer
 from gsrain_engine.render.look import Look
+from gsrain_engine.render.objects.label_files import LabelFormat, write_object_labels
 from gsrain_engine.render.record import record
 from gsrain_engine.render.recorded_files import outputs
 from gsrain_engine.render.recorded_views import frame_numbers, sequences_of
@@ -21,6 +22,7 @@ from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.camera import Camera, read_camera
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_files import read_camera_path
+from gsrain_engine.scene.objects import scene_objects
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.files.open_scene import open_to_draw
 from gsrain_engine.session.jobs.recorded_project import own_path
@@ -58,6 +60,10 @@ def render(
     ] = None,
     frame: Annotated[int | None, Parameter(help="Render only this frame of the sequence, counted from 0.")] = None,
     depth: Annotated[bool, Parameter(help="Add depth to the passes: PNG (16 bit, cm), NPY (m) or EXR (m).")] = False,
+    labels: Annotated[
+        LabelFormat | None,
+        Parameter(help="Write 2D and 3D boxes, visibility and instance masks of actors and parked cars, with depth."),
+    ] = None,
     look: Annotated[
         Look, Parameter(help="What to show: the picture (splats), or without rain what it is made of.")
     ] = "splats",
@@ -74,10 +80,14 @@ def render(
     json: JsonFile = None,
 ) -> int:
     """Render a scene in its rain: a still, a video, frames, or raw floats (premultiplied, before tone mapping)."""
-    asked = (recording or RecordingOptions()).recording(output, parse_size(size) if size else None, depth=depth)
+    asked = (recording or RecordingOptions()).recording(
+        output, parse_size(size) if size else None, depth=depth or labels is not None
+    )
     asked.check()
     _check(duration=duration, frame=frame, metres_per_unit=metres_per_unit)
     opened = _oriented(open_to_draw(scene), up, metres_per_unit)
+    if labels is not None and not scene_objects(opened):
+        raise ValueError(f"--labels {labels}: scene {opened.name!r} has no actors that labels could be about")
     asked_rain = (rain or RainOptions()).for_scene(opened)
     if wet:
         opened = _made_rainy(opened)
@@ -89,10 +99,13 @@ def render(
     numbers = _frame_numbers(asked, sequences, duration, frame)
     with open_renderer(backend) as renderer:
         report = _record(renderer, asked, sequences, numbers, look)
+        labelled = _label(renderer, labels, asked, sequences, numbers[: report["frames"]])
     written = _listed(outputs(asked, list(sequences)))
     first_s = next(iter(sequences.values())).time_s(numbers[0])
     sizes = ", ".join(dict.fromkeys(f"{each.width}x{each.height}" for each in sequences.values()))
     print(f"{written}: {report['frames']} of {len(numbers)} frames, {sizes}, {_describe(falling, first_s)}")
+    if labelled:
+        print(f"{_listed(labelled)}: labels, the same with rain and without")
     write_numbers(json, report | {"backend": renderer.name})
     return 0 if report["frames"] == len(numbers) else 130
 
@@ -103,7 +116,7 @@ def _record(
     sequences: Mapping[str, FrameSequence],
     numbers: Sequence[int],
     look: Look,
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Record frames; Ctrl-C ends it early and leaves what is there."""
     started, done = time.perf_counter(), 0
     first = next(iter(sequences.values()))
@@ -126,6 +139,18 @@ def _record(
         "implied_mm_h": state.implied_mm_h,
         "table_implied_mm_h": state.table_implied_mm_h,
     }
+
+
+def _label(
+    renderer: Renderer,
+    form: LabelFormat | None,
+    recording: Recording,
+    sequences: Mapping[str, FrameSequence],
+    numbers: Sequence[int],
+) -> list[Path]:
+    if form is None or not numbers:
+        return []
+    return followed(write_object_labels(renderer, form, recording, sequences, numbers))
 
 
 def _listed(paths: list[Path]) -> str:

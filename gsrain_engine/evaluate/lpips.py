@@ -52,7 +52,7 @@ class Lpips(torch.nn.Module):
             shapes = f"{tuple(rendered.shape)} and {tuple(truth.shape)}"
             raise ValueError(f"LPIPS takes pictures of one shape and at least {LEAST_SIZE_PX} px a side, not {shapes}")
         distance = rendered.new_zeros(())
-        for i, (a, b) in enumerate(zip(self._features(rendered), self._features(truth), strict=True)):
+        for i, (a, b) in enumerate(zip(self.features(rendered), self.features(truth), strict=True)):
             head = getattr(self, f"head_{i}")
             distance = distance + (head * (_unit(a) - _unit(b)) ** 2).sum(0).mean()
         return distance
@@ -70,8 +70,8 @@ class Lpips(torch.nn.Module):
             first, second = (torch.as_tensor(np.ascontiguousarray(each, np.float32)) for each in (shown, truth))
             return float(self(first.to(head.device), second.to(head.device)))
 
-    def _features(self, image: Tensor) -> list[Tensor]:
-        """Tapped feature maps (channels, h, w), from fine to coarse."""
+    def features(self, image: Tensor) -> list[Tensor]:
+        """Feature maps (channels, h, w) of a (h, w, 3) tensor of values 0..1 that are compared, from fine to coarse."""
         shift, scale = (image.new_tensor(values).view(3, 1, 1) for values in (_SHIFT, _SCALE))
         flow = ((2 * image.permute(2, 0, 1) - 1) - shift) / scale
         size, stride = _POOL[self.network]

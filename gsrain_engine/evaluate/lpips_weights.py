@@ -2,10 +2,8 @@
 
 import os
 import re
-import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,7 +11,7 @@ import numpy as np
 import platformdirs
 from jaxtyping import Float32
 
-from gsrain_engine.datasets.files.safe_pickle import read_pickle
+from .weight_file import SUFFIXES, read_arrays, write_arrays
 
 PLACE = "GSRAIN_LPIPS_WEIGHTS"
 """Environment variable with a file of weights, or a folder of such files."""
@@ -47,11 +45,11 @@ class LpipsWeights:
     """One of each tapped convolution."""
 
     def write(self, path: Path) -> None:
-        """Write an .npz that `read_lpips_weights` takes."""
+        """Write a .safetensors or .npz that `read_lpips_weights` takes; raises ValueError for another ending."""
         arrays: dict[str, Any] = {f"convolution.{i}.weight": kernel for i, kernel in enumerate(self.kernels)}
         arrays |= {f"convolution.{i}.bias": bias for i, bias in enumerate(self.biases)}
         arrays |= {f"head.{i}": head for i, head in enumerate(self.heads)}
-        np.savez(path, **arrays)
+        write_arrays(path, arrays)
 
 
 def lpips_places() -> tuple[Path, ...]:
@@ -67,7 +65,7 @@ def find_lpips_weights(network: Network) -> LpipsWeights:
     """
     places = lpips_places()
     files = [file for place in places for file in ([place] if place.is_file() else sorted(place.glob("*")))]
-    files = [file for file in files if file.suffix in (".npz", ".safetensors", ".ckpt", ".pth", ".pt")]
+    files = [file for file in files if file.suffix in SUFFIXES]
     faults: list[str] = []
     for group in (*([file] for file in files), _pair(files, network)):
         try:
@@ -100,7 +98,7 @@ def read_lpips_weights(*paths: Path) -> LpipsWeights:
     the file's name, where one can't be read or parts are missing, and FileNotFoundError.
     """
     named = ", ".join(map(str, paths)) or "no file"
-    arrays = {name: array for path in paths for name, array in _arrays(path).items()}
+    arrays = {name: array for path in paths for name, array in read_arrays(path).items()}
     numbered = sorted(arrays.items(), key=lambda item: [int(digits) for digits in re.findall(r"\d+", item[0])])
     kernels = tuple(array for _, array in numbered if array.ndim == 4 and array.shape[2] * array.shape[3] > 1)
     bodies = [name for name, array in numbered if array.ndim == 4 and array.shape[2] * array.shape[3] > 1]
@@ -126,52 +124,3 @@ _HEAD = re.compile(r"(?:^|\.)(?:lin|lins\.|head\.|NetLinLayer_)(\d+)(?:\.|$)")
 
 def _bias_of(name: str) -> str:
     return re.sub("(weight|kernel)$", "bias", name)
-
-
-def _arrays(path: Path) -> dict[str, np.ndarray]:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-    if path.suffix == ".npz":
-        try:
-            with np.load(path, allow_pickle=False) as archive:
-                return dict(archive)
-        except (ValueError, OSError, zipfile.BadZipFile) as error:
-            raise ValueError(f"{path}: not a readable .npz: {error}") from error
-    if path.suffix == ".safetensors":
-        return _safetensors(path)
-    if path.suffix == ".ckpt":
-        return dict(_flat(read_pickle(path)))
-    return _torch_state(path)
-
-
-def _safetensors(path: Path) -> dict[str, np.ndarray]:
-    try:
-        load: Any = import_module("safetensors.numpy").load_file
-    except ModuleNotFoundError as error:
-        raise ValueError(f"{path}: reading it takes safetensors: pip install safetensors") from error
-    try:
-        return load(path)
-    except Exception as error:  # its error class is not public
-        raise ValueError(f"{path}: not a readable .safetensors: {error}") from error
-
-
-def _torch_state(path: Path) -> dict[str, np.ndarray]:
-    try:
-        torch: Any = import_module("torch")
-    except ModuleNotFoundError as error:
-        raise ValueError(f"{path}: reading it takes torch: pip install 'gsrain[jobs]'") from error
-    try:
-        state: Mapping[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-        return {name: tensor.float().numpy() for name, tensor in state.items()}
-    except Exception as error:  # torch fails in many ways; its words are the finding
-        first = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"{path}: not a readable file of torch weights: {first}") from error
-
-
-def _flat(tree: Any, prefix: str = "") -> list[tuple[str, np.ndarray]]:
-    """Arrays of nested dictionaries by dotted names, kernels turned from (kh kw in out) to (out in kh kw)."""
-    if isinstance(tree, Mapping):
-        items: Mapping[str, Any] = tree
-        return [pair for name, value in items.items() for pair in _flat(value, f"{prefix}.{name}" if prefix else name)]
-    array = np.asarray(tree)
-    return [(prefix, array.transpose(3, 2, 0, 1) if array.ndim == 4 else array)]

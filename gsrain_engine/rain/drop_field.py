@@ -131,6 +131,13 @@ def find_drops(count: int, seed: int, where: Offsets, period_m: Float64[np.ndarr
     return drops_at(_search(count, seed, where, period_m, culling, only_seen=True), seed, where)
 
 
+def find_in_region(
+    count: int, seed: int, where: Offsets, period_m: Float64[np.ndarray, "3"], culling: Culling
+) -> Drops:
+    """Find the drops that are inside the streak region, seen or not, in rising order."""
+    return drops_at(_search(count, seed, where, period_m, culling, only_seen=False), seed, where)
+
+
 def count_in_region(count: int, seed: int, where: Offsets, period_m: Float64[np.ndarray, "3"], culling: Culling) -> int:
     """Count the drops that are inside the streak region, seen or not."""
     return len(_search(count, seed, where, period_m, culling, only_seen=False))

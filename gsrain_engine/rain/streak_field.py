@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from .drop_field import Culling, Drops, Offsets, count_in_region, find_drops
+from .drop_field import Culling, Drops, Offsets, count_in_region, find_drops, find_in_region
 from .rain import Rain
 from .roofs import Roofs
 from .streaks import Shutter, Streaks
@@ -37,7 +37,13 @@ class StreakField:
 
     def drops(self) -> Drops:
         """Drops that the camera may see."""
-        found = find_drops(self.count, self.rain.seed, self.where, self.period_m, self.culling)
+        return self._in_the_open(find_drops(self.count, self.rain.seed, self.where, self.period_m, self.culling))
+
+    def region_drops(self) -> Drops:
+        """Drops in the streak region, seen or not: what other sensors than the camera meet."""
+        return self._in_the_open(find_in_region(self.count, self.rain.seed, self.where, self.period_m, self.culling))
+
+    def _in_the_open(self, found: Drops) -> Drops:
         if self.roofs is None:
             return found
         kept = ~self.roofs.shelter(self.positions(found))

@@ -54,10 +54,10 @@ def legend(scene: Scene) -> dict[str, Any]:
 
 def _in_signal_colors(parts: Sequence[Part], first: int) -> list[Part]:
     """Parts `first`, `first + 1` and `first + 2` in red, green and blue, all others in black."""
-    return [part._replace(colors=_only(number - first)) for number, part in enumerate(parts)]
+    return [part._replace(colors=only_channel(number - first)) for number, part in enumerate(parts)]
 
 
-def _only(channel: int) -> Float64[np.ndarray, "3 4"]:
+def only_channel(channel: int) -> Float64[np.ndarray, "3 4"]:
     """Colour change to one pure colour, whatever the colour was; black for channels that don't exist."""
     change = np.zeros((3, 4))
     if 0 <= channel < 3:

@@ -13,7 +13,7 @@ from .scene import Scene
 from .street.parked_cars import PARKED_LAYER, ParkedCarBox, parked_car_boxes
 from .track import Track
 
-_MARGIN_M = 0.08
+_MARGIN_M = 0.2
 """Mirrors and Gaussians that stand over the edge of a box are the thing's own."""
 _SHADOW_HEIGHT_M, _SHADOW_OPACITY = 0.1, 0.9
 """What lies lower and is less opaque is the shadow that a thing carries along."""

@@ -66,11 +66,11 @@ def test_the_distance_is_the_formula_of_the_paper():
     lpips = Lpips(weights)
     first, second = (torch.tensor(each, dtype=torch.float32) for each in (_picture(), 1 - _picture()))
     expected = 0.0
-    for a, b, head in zip(lpips._features(first), lpips._features(second), weights.heads, strict=True):
+    for a, b, head in zip(lpips.features(first), lpips.features(second), weights.heads, strict=True):
         a, b = (each.numpy() / np.maximum(np.linalg.norm(each.numpy(), axis=0), 1e-10) for each in (a, b))
         expected += float((head[:, None, None] * (a - b) ** 2).sum(0).mean())
     assert float(lpips(first, second)) == pytest.approx(expected, rel=1e-5)
-    assert [each.shape[1] for each in lpips._features(first)] == [64, 32, 16, 8, 4]
+    assert [each.shape[1] for each in lpips.features(first)] == [64, 32, 16, 8, 4]
 
 
 def test_masked_pixels_do_not_count():

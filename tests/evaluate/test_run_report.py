@@ -13,7 +13,7 @@ from gsrain_engine.evaluate.report.charts import chart, number, ticks
 from gsrain_engine.evaluate.report.comparison import WIDEST_PX, Comparison
 from gsrain_engine.evaluate.report.page import MOST_PICTURES, report_page
 from gsrain_engine.evaluate.report.pictures import LARGEST_ERROR, error_picture
-from gsrain_engine.evaluate.report.run_report import Curve, RunReport, write_report
+from gsrain_engine.evaluate.report.run_report import Curve, Figure, ReportTable, RunReport, write_report
 
 _VOID = {"meta", "img", "input", "link", "br"}
 
@@ -179,3 +179,18 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path: Path, monk
 def _full_disk(path: Path, *rest: object, **more: object) -> None:
     path.touch()
     raise OSError("no space left")
+
+
+def test_tables_and_figures_of_any_kind_stand_first_and_are_escaped():
+    red = np.zeros((4, 6, 3), np.uint8)
+    red[..., 0] = 255
+    table = ReportTable("Scores <1>", ("who", "objects", "score"), (("a & b", 3, 0.51234), ("c", 4, None)), 2)
+    report = RunReport("a run", {}, figures=(Figure("Curve", red, "why"),), tables=(table,), machine={})
+    page = report_page(report)
+    source = page.split('src="data:image/png;base64,')[1].split('"')[0]
+    picture = cv2.imdecode(np.frombuffer(base64.b64decode(source), np.uint8), cv2.IMREAD_COLOR)
+    np.testing.assert_array_equal(picture[..., ::-1], red)
+    assert "Scores &lt;1&gt;" in page
+    assert '<td class="word">a &amp; b</td>' in page
+    assert '<td class="number" data-value="3.0">3</td><td class="number" data-value="0.51234">0.51</td>' in page
+    assert "&ndash;" in page

@@ -9,18 +9,6 @@ LEAST_VISIBILITY = 0.25
 LEAST_HEIGHT_PX = 16.0
 """Objects of less are hardly there for anybody: they are no misses, and who finds them is not wrong."""
 
-_CLASSES = {
-    "bus": ("bus",),
-    "train": ("train", "tram"),
-    "truck": ("truck", "lorry", "trailer", "construction_vehicle", "construction vehicle"),
-    "motorcycle": ("motor",),
-    "bicycle": ("bicycle", "cyclist", "bike"),
-    "person": ("person", "pedestrian", "human", "rider", "adult", "child"),
-    "traffic light": ("traffic light", "traffic_light"),
-    "car": ("car", "van", "suv", "taxi"),
-}
-"""COCO's names, each with the words by which data sets call such things; the first that fits counts."""
-
 
 @dataclass(frozen=True, slots=True)
 class LabelledObject:
@@ -48,12 +36,3 @@ class LabelledObject:
     def counts(self) -> bool:
         """Whether it is large and free enough to be asked for."""
         return not self.is_ignored and self.visibility >= LEAST_VISIBILITY and self.height_px >= LEAST_HEIGHT_PX
-
-
-def coco_class(name: str) -> str | None:
-    """COCO's name for what a data set or a scene calls a thing, such as Pedestrian or vehicle.car; else None."""
-    lower = name.lower()
-    for coco, words in _CLASSES.items():
-        if any(word in lower for word in words):
-            return coco
-    return "car" if lower == "vehicle" else None

@@ -29,8 +29,10 @@ def frechet_interval(
 
     Pictures of each set are drawn again with repeats (Efron 1979). Resamples hold fewer different pictures and so their
     distances are too high, as those of few pictures are; that shift is taken out: the interval is the value plus the
-    quantiles of the resampled distances around their mean. It tells nothing of how far the value itself is too
-    high for want of pictures: `small_samples` does. `advance` is called after each resample.
+    quantiles of the resampled distances around their mean. It tells nothing of how far the value itself is too high for
+    want of pictures: `small_samples` does. Of few pictures it is rather too wide (of 32 with 64 features by half); of
+    pictures that are alike, such as neighbouring frames of a drive, too narrow, for it takes them for independent.
+    `advance` is called after each resample.
     """
     value = frechet_distance(real, fake)
     points = rotated(real, fake)
@@ -46,7 +48,10 @@ def frechet_interval(
 def kernel_interval(
     real: Features, fake: Features, resamples: int, seed: int, shared: Bool[np.ndarray, "_ _"] | None = None
 ) -> Interval:
-    """Return how far KID varies between sets of pictures as large as these; nothing is shifted, for it has no bias."""
+    """Return how far KID varies between sets of pictures as large as these; nothing is shifted, for it has no bias.
+
+    Pictures are taken for independent, as in `frechet_interval`; `shared` is that of `kernel_distance`.
+    """
     weights = [np.empty((len(each), resamples)) for each in (real, fake)]
     for k, chosen in enumerate(_drawn(len(real), len(fake), resamples, seed)):
         for own, drawn in zip(weights, chosen, strict=True):

@@ -2,9 +2,8 @@
 
 import numpy as np
 from jaxtyping import Float, Float64
-from scipy import linalg
 
-Features = Float[np.ndarray, "_ d"]
+Features = Float[np.ndarray, "_ _"]
 """One row a picture."""
 
 
@@ -22,13 +21,11 @@ def frechet_distance(real: Features, fake: Features) -> float:
     """
     _check(real, fake)
     means = [each.mean(axis=0, dtype=np.float64) for each in (real, fake)]
-    roots = [
-        (each - mean) / np.sqrt(len(each) - 1) for each, mean in zip((real, fake), means, strict=True)
-    ]
+    roots = [(each - mean) / np.sqrt(len(each) - 1) for each, mean in zip((real, fake), means, strict=True)]
     between = float(np.sum((means[0] - means[1]) ** 2))
     spreads = sum(float(np.vdot(root, root)) for root in roots)
     left, right = (_small_root(root) for root in roots)
-    common = float(linalg.svdvals(left @ right.T, check_finite=False).sum())
+    common = float(np.linalg.svd(left @ right.T, compute_uv=False).sum())
     return max(between + spreads - 2 * common, 0.0)
 
 
@@ -40,7 +37,7 @@ def rotated(real: Features, fake: Features) -> tuple[Float64[np.ndarray, "n r"],
     points = np.concatenate((real, fake)).astype(np.float64)
     points -= points.mean(axis=0)
     if len(points) < points.shape[1]:
-        points = np.ascontiguousarray(linalg.qr(points.T, mode="r", check_finite=False)[0][: len(points)].T)
+        points = np.ascontiguousarray(np.asarray(np.linalg.qr(points.T, mode="r")).T)
     return points[: len(real)], points[len(real) :]
 
 
@@ -48,7 +45,7 @@ def _small_root(root: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "_ d"]:
     """Of more pictures than features, as many rows as features with the same covariance."""
     if len(root) <= root.shape[1]:
         return root
-    return linalg.qr(root, mode="r", check_finite=False)[0][: root.shape[1]]
+    return np.asarray(np.linalg.qr(root, mode="r"))
 
 
 def _check(real: Features, fake: Features) -> None:

@@ -19,9 +19,7 @@ class SubsetDistances:
     """Of single subsets: how far one differs from another, not how sure the mean is."""
 
 
-def kernel_distance(
-    real: Features, fake: Features, shared: Bool[np.ndarray, "_ _"] | None = None
-) -> float:
+def kernel_distance(real: Features, fake: Features, shared: Bool[np.ndarray, "_ _"] | None = None) -> float:
     """Unbiased squared maximum mean discrepancy of two sets of features, with the kernel (x.y / d + 1)^3.
 
     Binkowski et al. 2018 ("Demystifying MMD GANs", sec. 4); without a unit; its expectation is 0 for sets of one
@@ -51,11 +49,13 @@ def weighted_distances(
     return within - 2 * _across(real, fake, real_weights, fake_weights, shared)
 
 
-def subset_distances(real: Features, fake: Features, subsets: int = 100, size: int = 1000, seed: int = 0) -> SubsetDistances:
+def subset_distances(
+    real: Features, fake: Features, subsets: int = 100, size: int = 1000, seed: int = 0
+) -> SubsetDistances:
     """Return the mean of `kernel_distance` over random subsets of each set, as most programs report KID.
 
-    `size` pictures of each, without repeats; all where there are fewer. The mean estimates what `kernel_distance` of all
-    pictures does, with more noise: it is here to be compared with numbers of others.
+    `size` pictures of each, without repeats; all where there are fewer. The mean estimates what `kernel_distance` of
+    all pictures does, with more noise: it is here to be compared with numbers of others.
     """
     random = np.random.default_rng(seed)
     values = [

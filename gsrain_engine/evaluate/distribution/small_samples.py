@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from .bootstrap import Advance, Interval, quantiles
+from .extractor import Extractor
 from .frechet import frechet_distance, rotated
 
 Features = Float[np.ndarray, "_ d"]
@@ -43,17 +44,18 @@ def same_distribution(
     return SameDistribution(float(values.mean()), quantiles(values))
 
 
-def warning(name: str, value: float, counts: tuple[int, int], features: int, same: SameDistribution) -> str | None:
+def warning(extractor: Extractor, value: float, counts: tuple[int, int], same: SameDistribution) -> str | None:
     """Return one sentence where the number of pictures says more than the pictures do; None where it does not."""
-    fewest = min(counts)
     if same.mean < NOTABLE_SHARE * value:
         return None
-    said = f"{counts[0]} and {counts[1]} pictures are few for {features} features: {name} of sets of one distribution"
-    said += f" would be about {same.mean:.4g} ({same.interval.low:.4g} to {same.interval.high:.4g})"
+    said = (
+        f"for want of pictures ({counts[0]} and {counts[1]} for {extractor.features} features) the "
+        f"{extractor.metric} of two such sets of one distribution would be about {same.mean:.4g} "
+        f"({same.interval.low:.4g} to {same.interval.high:.4g}): "
+    )
     if value <= same.interval.high:
-        return f"{said}, so {value:.4g} tells no difference"
-    rank = " (both covariances are singular)" if fewest <= features else ""
-    return f"{said}{rank}, of the {value:.4g} found; compare only with values at the same numbers, or take KID"
+        return f"{said}{value:.4g} tells no difference"
+    return f"{said}compare {value:.4g} only with values of as many pictures, or take {extractor.kernel_metric}"
 
 
 def _centred(points: Float64[np.ndarray, "n r"]) -> Float64[np.ndarray, "n r"]:

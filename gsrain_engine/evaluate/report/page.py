@@ -9,8 +9,8 @@ import numpy as np
 
 from .charts import chart, number
 from .comparison import Comparison
-from .pictures import LARGEST_ERROR, color_bar, error_picture, photograph
-from .run_report import Curve, RunReport
+from .pictures import LARGEST_ERROR, color_bar, drawing, error_picture, photograph
+from .run_report import Curve, Figure, ReportTable, RunReport
 
 MOST_PICTURES = 24
 """Of more views the best, the worst and those evenly between are shown; the table has them all."""
@@ -32,13 +32,18 @@ def _body(report: RunReport) -> Iterable[str]:
     processor = str(report.machine.get("cpu", ""))
     yield f"<h1>{escape(report.title)}</h1>\n"
     yield f'<p class="quiet">{escape(" · ".join(part for part in (when, processor) if part))}</p>\n'
-    yield _tiles({**_means(report.comparisons), **report.headlines})
+    yield _tiles({**_means(report.comparisons, "held-out " if report.held_out else ""), **report.headlines})
     if report.problems:
         items = "".join(f"<li>{escape(problem)}</li>" for problem in report.problems)
         yield f'<div class="problems"><strong>Left out of the capture</strong><ul>{items}</ul></div>\n'
+    if report.notes:
+        items = "".join(f"<li>{escape(note)}</li>" for note in report.notes)
+        yield f'<div class="problems"><strong>To know</strong><ul>{items}</ul></div>\n'
+    yield from map(_figure, report.figures)
+    yield from map(_plain_table, report.tables)
     if report.comparisons:
-        yield _pictures(report.comparisons)
-        yield f"<h2>Every held-out view</h2>\n{_table(report.comparisons)}"
+        yield _pictures(report.comparisons, report.held_out)
+        yield f"<h2>Every {'held-out view' if report.held_out else 'picture'}</h2>\n{_table(report.comparisons)}"
     if report.curves:
         yield _charts(report.curves)
     if report.timings:
@@ -48,17 +53,17 @@ def _body(report: RunReport) -> Iterable[str]:
     yield f"<section><h2>Machine</h2>{machine}</section></div>\n"
 
 
-def _means(comparisons: tuple[Comparison, ...]) -> dict[str, str]:
+def _means(comparisons: tuple[Comparison, ...], which: str) -> dict[str, str]:
     if not comparisons:
         return {}
     rows = {
-        "held-out PSNR": f"{_mean(each.psnr_db for each in comparisons):.2f} dB",
-        "held-out SSIM": f"{_mean(each.ssim for each in comparisons):.3f}",
+        f"{which}PSNR": f"{_mean(each.psnr_db for each in comparisons):.2f} dB",
+        f"{which}SSIM": f"{_mean(each.ssim for each in comparisons):.3f}",
     }
     distances = [each.lpips for each in comparisons if each.lpips is not None]
     if distances:
-        rows["held-out LPIPS"] = f"{_mean(distances):.3f}"
-    return {**rows, "held-out views": str(len(comparisons))}
+        rows[f"{which}LPIPS"] = f"{_mean(distances):.3f}"
+    return {**rows, f"{which}views" if which else "pictures": str(len(comparisons))}
 
 
 def _tiles(figures: Mapping[str, str]) -> str:
@@ -66,14 +71,15 @@ def _tiles(figures: Mapping[str, str]) -> str:
     return f'<div class="tiles">{"".join(tiles)}</div>\n' if figures else ""
 
 
-def _pictures(comparisons: tuple[Comparison, ...]) -> str:
+def _pictures(comparisons: tuple[Comparison, ...], held_out: bool) -> str:
+    title, kinds = ("Held-out views", ("recorded", "rendered")) if held_out else ("Pictures", ("truth", "picture"))
     shown = _chosen(comparisons)
     note = "" if len(shown) == len(comparisons) else f": {len(shown)} of {len(comparisons)}, from the best to the worst"
     bar = (
         f'<div class="scale">mean absolute difference&nbsp; 0 <img src="{color_bar()}" alt="black to light yellow"> '
         f"≥ {LARGEST_ERROR:g} of 1; grey: not compared</div>"
     )
-    return f"<h2>Held-out views{note}</h2>\n{bar}\n{''.join(map(_view, shown))}"
+    return f"<h2>{title}{note}</h2>\n{bar}\n{''.join(_view(each, kinds) for each in shown)}"
 
 
 def _chosen(comparisons: tuple[Comparison, ...]) -> list[Comparison]:
@@ -83,12 +89,12 @@ def _chosen(comparisons: tuple[Comparison, ...]) -> list[Comparison]:
     return [ranked[i] for i in np.linspace(0, len(ranked) - 1, MOST_PICTURES).round().astype(int)]
 
 
-def _view(comparison: Comparison) -> str:
+def _view(comparison: Comparison, kinds: tuple[str, str]) -> str:
     figures = f"PSNR {comparison.psnr_db:.2f} dB · SSIM {comparison.ssim:.3f}"
     figures += "" if comparison.lpips is None else f" · LPIPS {comparison.lpips:.3f}"
     sources = {
-        "recorded": photograph(comparison.truth),
-        "rendered": photograph(comparison.rendered),
+        kinds[0]: photograph(comparison.truth),
+        kinds[1]: photograph(comparison.rendered),
         "difference": error_picture(comparison.error),
     }
     name = escape(comparison.name, quote=True)
@@ -131,6 +137,33 @@ def _cell(value: float, decimals: int) -> str:
 
 def _number_class(column: int) -> str:
     return ' class="number"' if column else ""
+
+
+def _figure(figure: Figure) -> str:
+    source = (photograph if figure.is_photograph else drawing)(figure.pixels)
+    title, caption = escape(figure.title), escape(figure.caption)
+    said = escape(figure.title, quote=True)
+    return f'<h2>{title}</h2>\n<figure><img src="{source}" alt="{said}"><figcaption>{caption}</figcaption></figure>\n'
+
+
+def _plain_table(table: ReportTable) -> str:
+    words = [any(isinstance(row[i], str) for row in table.rows) for i in range(len(table.columns))]
+    kinds = ["word" if each else "number" for each in words]
+    head = "".join(
+        f'<th class="{kind}"><button type="button" title="Sort by this column">{escape(each)}</button></th>'
+        for each, kind in zip(table.columns, kinds, strict=True)
+    )
+    body = "".join(f"<tr>{''.join(_value(each, table.decimals) for each in row)}</tr>" for row in table.rows)
+    caption = f'<p class="quiet">{escape(table.caption)}</p>\n' if table.caption else ""
+    table_html = f'<table class="sortable"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>\n'
+    return f"<h2>{escape(table.title)}</h2>\n{caption}{table_html}"
+
+
+def _value(value: str | float | None, decimals: int) -> str:
+    if isinstance(value, str):
+        return f'<td class="word">{escape(value)}</td>'
+    number = float("nan") if value is None else float(value)
+    return _cell(number, 0 if isinstance(value, int) else decimals)
 
 
 _AXES = "".join(

@@ -20,6 +20,11 @@ def photograph(image: UInt8[np.ndarray, "h w 3"]) -> str:
     return _data_uri(image, ".jpg", "image/jpeg", [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
 
 
+def drawing(image: UInt8[np.ndarray, "h w 3"]) -> str:
+    """Return a drawing as the data URI of a PNG, without loss."""
+    return _data_uri(image, ".png", "image/png", [])
+
+
 def error_picture(error: Float32[np.ndarray, "h w"]) -> str:
     """Return the colours of an error map as a data URI; grey where it is NaN."""
     shares = np.nan_to_num(np.clip(error / LARGEST_ERROR, 0, 1))

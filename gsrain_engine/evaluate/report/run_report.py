@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64, Int64, UInt8
 
 from gsrain_engine.render.machine import machine
 from gsrain_engine.scene.atomic_files import whole_file
@@ -29,6 +29,28 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Figure:
+    """A drawing or a picture with what it shows."""
+
+    title: str
+    pixels: UInt8[np.ndarray, "h w 3"]
+    caption: str = ""
+    is_photograph: bool = False
+    """Whether it may be kept as a JPEG; drawings are kept as they are."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportTable:
+    """Numbers in rows; a person can sort them by each column."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str | float | None, ...], ...]
+    decimals: int = 3
+    caption: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RunReport:
     """Everything that the page of a run shows."""
 
@@ -37,7 +59,7 @@ class RunReport:
     """By name with unit, in the order in which they are shown."""
     curves: tuple[Curve, ...] = ()
     comparisons: tuple[Comparison, ...] = ()
-    """Views that the run did not learn from."""
+    """Views that the run did not learn from; pictures where `held_out` is False."""
     timings: Mapping[str, float] = field(default_factory=dict[str, float])
     """Seconds of each part of the run."""
     headlines: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -46,6 +68,13 @@ class RunReport:
     """What was left out of the capture and why."""
     machine: Mapping[str, object] = field(default_factory=machine)
     """What it ran on."""
+    notes: tuple[str, ...] = ()
+    """What a reader of the figures should know, a sentence each."""
+    held_out: bool = True
+    """Whether the comparisons are of such views; else they are called pictures."""
+    figures: tuple[Figure, ...] = ()
+    """Shown first."""
+    tables: tuple[ReportTable, ...] = ()
 
 
 def write_report(file: Path, report: RunReport) -> None:

@@ -1,0 +1,142 @@
+"""The numbers of `gsrain evaluate detection`: rows, scores, where they come from; on the screen and as JSON."""
+
+import hashlib
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from rich.console import Console
+from rich.table import Table
+
+from gsrain_engine.evaluate.detection.detector import Detector
+from gsrain_engine.evaluate.detection.robustness import Robustness
+from gsrain_engine.evaluate.detection.summary import (
+    FOUND_FROM,
+    DistanceScore,
+    Spread,
+    WeatherScore,
+    distance_scores,
+    plain,
+    robustness_of,
+    scores,
+)
+from gsrain_engine.evaluate.detection.sweep import Judgement, Row, rows_of
+from gsrain_engine.evaluate.detection.truth import LEAST_HEIGHT_PX, LEAST_VISIBILITY
+
+from .detection_source import PreparedSource
+
+_PACKAGES = ("gsrain", "onnxruntime", "numpy", "numba", "opencv-python-headless")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectionNumbers:
+    """Everything that the command reports."""
+
+    rows: list[Row]
+    scores: list[WeatherScore]
+    distances: list[DistanceScore]
+    robustness: dict[str, Robustness]
+    settings: dict[str, Any]
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        left = {name: asdict(each) for name, each in self.robustness.items()}
+        return {
+            "settings": self.settings,
+            "robustness": {n: {k: None if v != v else v for k, v in each.items()} for n, each in left.items()},
+            "scores": [plain(each) for each in self.scores],
+            "recall_by_distance": [plain(each) for each in self.distances],
+            "rows": [row.plain() for row in self.rows],
+        }
+
+
+def detection_numbers(
+    judgements: Sequence[Judgement],
+    detectors: Sequence[Detector],
+    files: Sequence[Path],
+    backend: str,
+    source: PreparedSource,
+    seeds: int,
+) -> DetectionNumbers:
+    """Work out all numbers. Raises ValueError where no view shows anything that could be found."""
+    rows = [row for each in judgements for row in rows_of(each)]
+    if not rows:
+        raise ValueError(
+            f"{source.name}: none of {len(source.frames)} views shows an object of {LEAST_HEIGHT_PX:g} px or more, "
+            f"{LEAST_VISIBILITY:.0%} visible; choose others by --frames, --from, --to, --cameras or --width"
+        )
+    scored = scores(rows, judgements)
+    camera = source.frames[0].shot.camera
+    settings = {
+        "source": source.name,
+        "command": " ".join(sys.argv[1:]),
+        "detectors": {
+            each.name: {"file": file.name, "sha256": _sha256(file)} for each, file in zip(detectors, files, strict=True)
+        },
+        "frames": [each.name for each in source.frames],
+        "size_px": [camera.width, camera.height],
+        "seeds": list(range(seeds)),
+        "rain": {
+            name: value
+            for name, value in msgspec.to_builtins(source.pictures.rain).items()
+            if name not in ("intensity_mm_h", "seed")
+        },
+        "rain_before_pictures": source.pictures.is_in_front,
+        "least_iou": 0.5,
+        "found_from_confidence": FOUND_FROM,
+        "least_height_px": LEAST_HEIGHT_PX,
+        "least_visibility": LEAST_VISIBILITY,
+        "backend": backend,
+        "versions": {name: _version(name) for name in _PACKAGES},
+    }
+    return DetectionNumbers(rows, scored, distance_scores(rows), robustness_of(scored), settings)
+
+
+def print_scores(scored: Sequence[WeatherScore], console: Console) -> None:
+    """Print one line for each detector and weather: means over seeds, and the lowest and highest seed."""
+    table = Table("detector", "picture", "mm/h", box=None)
+    for title in ("objects", "confidence", "change", f"recall@{FOUND_FROM:g}", "IoU", "flips", "mAP50", "mAP"):
+        table.add_column(title, justify="right")
+    for each in scored:
+        table.add_row(
+            each.detector,
+            each.picture,
+            f"{each.intensity_mm_h:g}",
+            str(each.objects),
+            _spread(each.confidence),
+            "" if each.change is None else _change(each.change.mean, each.change.low, each.change.high),
+            f"{each.recall.mean:.0%}",
+            f"{each.iou.mean:.2f}",
+            f"{each.flips.mean:.0%}",
+            f"{each.map50.mean:.3f}",
+            f"{each.map.mean:.3f}",
+        )
+    console.print(table)
+    console.print(
+        "Means over objects and seeds, misses as 0 (lowest..highest seed); change from without rain, 95 % over seeds."
+    )
+
+
+def _spread(spread: Spread) -> str:
+    return f"{spread.mean:.3f} ({spread.low:.3f}..{spread.high:.3f})"
+
+
+def _change(mean: float, low: float, high: float) -> str:
+    return f"{mean:+.3f}" if low != low else f"{mean:+.3f} ({low:+.3f}..{high:+.3f})"
+
+
+def _sha256(file: Path) -> str:
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None

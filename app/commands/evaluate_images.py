@@ -1,0 +1,145 @@
+"""`gsrain evaluate images`: PSNR, SSIM and LPIPS of pictures and those of the same names that they should be."""
+
+import json as json_text
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from cyclopts import Parameter
+from jaxtyping import Bool
+from rich.console import Console
+from rich.table import Table
+
+from gsrain_engine.datasets.capture import View
+from gsrain_engine.datasets.files.picture_file import read_labels
+from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.datasets.other_pictures import pictures_below
+from gsrain_engine.evaluate.image_metrics import check_pair
+from gsrain_engine.evaluate.mean_interval import MeanInterval, mean_interval
+from gsrain_engine.evaluate.report.comparison import Comparison, Distance
+from gsrain_engine.evaluate.report.run_report import RunReport, write_report
+
+from .arguments import write_numbers
+from .outputs import check_writable
+from .perceived import perceived_distance
+from .progress import progress_bar
+
+_SCREEN = Path("-")
+_COLUMNS = 120
+_MOST_ROWS = 40
+
+Mask = Bool[np.ndarray, "h w"]
+
+
+def images(
+    shown: Annotated[Path, Parameter(name="A", help="Folder of pictures, or a capture.")],
+    truth: Annotated[Path, Parameter(name="B", help="What they should be: pictures of the same names and sizes.")],
+    /,
+    *,
+    masks: Annotated[
+        Path | None,
+        Parameter(help="Folder of masks, NAME.png: what is not black is compared. Default: those of B, if it has any."),
+    ] = None,
+    lpips: Annotated[
+        str | None, Parameter(help="LPIPS too: alex or vgg of this machine's weights, or a file of weights.")
+    ] = None,
+    seed: Annotated[int, Parameter(help="Same seed, same intervals.")] = 0,
+    report: Annotated[Path | None, Parameter(help="Also write a page of HTML with the pictures.")] = None,
+    json: Annotated[
+        Path | None,
+        Parameter(name="--json", help="Write the numbers to this file; - prints them.", allow_leading_hyphen=True),
+    ] = None,
+) -> None:
+    """Measure how close pictures are to those of the same names: PSNR, SSIM and LPIPS, each with its mean and interval.
+
+    PSNR in dB and SSIM (at most 1) are higher for closer pictures, LPIPS (0 for equal ones) is lower.
+    """
+    check_writable(report, None if json == _SCREEN else json)
+    first, second = open_capture(shown), open_capture(truth)
+    others = {view.name: view for view in second}
+    pairs = [(view, others[view.name]) for view in first if view.name in others]
+    if not pairs:
+        raise ValueError(f"{shown} and {truth}: no picture of the one has the name of one of the other")
+    distance = None if lpips is None else perceived_distance(lpips)
+    rows: list[Comparison] = []
+    shares: list[float] = []
+    with progress_bar("Comparing", len(pairs)) as advance:
+        for a, b in pairs:
+            mask = b.mask if masks is None else _mask(masks, b)
+            rows.append(_compared(a, b, mask, distance))
+            shares.append(1.0 if mask is None else float(mask.mean()))
+            advance()
+    left_out = len(first) + len(second) - 2 * len(pairs)
+    means = {name: mean_interval(values, seed) for name, values in _columns(rows).items()}
+    _print(rows, means, Console(file=sys.stderr if json == _SCREEN else sys.stdout, width=_COLUMNS, highlight=False))
+    if left_out:
+        print(f"{left_out} pictures have no other of their name, and are left out", file=sys.stderr)
+    settings = {"pictures": str(shown), "truth": str(truth), "lpips": lpips, "seed": seed, "left_out": left_out}
+    numbers = {**settings, "means": _means(means), "rows": _numbers(rows, shares)}
+    if json == _SCREEN:
+        print(json_text.dumps(numbers, indent=1))
+    else:
+        write_numbers(json, numbers)
+    if report is not None:
+        page = RunReport(title="Pictures compared", settings=settings, comparisons=tuple(rows), held_out=False)
+        write_report(report, page)
+        print(f"wrote {report}", file=sys.stderr)
+
+
+def _mask(folder: Path, view: View) -> Mask:
+    file = pictures_below(folder).file_of(view.name, view.sensor)
+    if file is None:
+        raise ValueError(f"--masks {folder}: has no mask of {view.name}; expected {view.name}.png")
+    return read_labels(file) > 0
+
+
+def _compared(shown: View, truth: View, mask: Mask | None, distance: Distance | None) -> Comparison:
+    a, b = (view.image.astype(np.float32) / np.float32(255) for view in (shown, truth))
+    try:
+        check_pair(a.shape, b.shape, None if mask is None else mask.shape)
+        return Comparison.measured(truth.name, a, b, mask, distance)
+    except ValueError as error:
+        raise ValueError(f"{truth.name}: {error}") from None
+
+
+def _columns(rows: Sequence[Comparison]) -> dict[str, list[float]]:
+    columns = {"psnr_db": [row.psnr_db for row in rows], "ssim": [row.ssim for row in rows]}
+    lpips = [row.lpips for row in rows if row.lpips is not None]
+    return {**columns, "lpips": lpips} if lpips else columns
+
+
+def _print(rows: Sequence[Comparison], means: dict[str, MeanInterval], console: Console) -> None:
+    titles = {"psnr_db": "PSNR dB", "ssim": "SSIM", "lpips": "LPIPS"}
+    table = Table("picture", *(titles[name] for name in means), box=None)
+    for row in rows if len(rows) <= _MOST_ROWS else sorted(rows, key=lambda row: row.psnr_db)[:_MOST_ROWS]:
+        cells = [f"{row.psnr_db:.2f}", f"{row.ssim:.4f}", *([] if row.lpips is None else [f"{row.lpips:.4f}"])]
+        table.add_row(row.name, *cells)
+    told = f"mean of {len(rows)}" + (f", above the {_MOST_ROWS} worst" if len(rows) > _MOST_ROWS else "")
+    table.add_row(f"[bold]{told}", *(f"[bold]{each.mean:.4g}" for each in means.values()))
+    table.add_row("95 % of such means", *(f"{each.low:.4g} to {each.high:.4g}" for each in means.values()))
+    console.print(table)
+
+
+def _means(means: dict[str, MeanInterval]) -> dict[str, Any]:
+    return {name: {part: _finite(value) for part, value in each._asdict().items()} for name, each in means.items()}
+
+
+def _numbers(rows: Sequence[Comparison], shares: Sequence[float]) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": row.name,
+            "psnr_db": _finite(row.psnr_db),
+            "ssim": row.ssim,
+            "lpips": row.lpips,
+            "compared_share": share,
+        }
+        for row, share in zip(rows, shares, strict=True)
+    ]
+
+
+def _finite(value: float) -> float | None:
+    """Replace infinity, the PSNR of equal pictures, which JSON lacks."""
+    return value if math.isfinite(value) else None

@@ -1,0 +1,197 @@
+"""What the numbers that a detector gives mean: boxes in pixels of its input, with confidences and classes."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Int64
+
+from .description import DetectorDescription
+
+_TOLERANCE = 1e-3
+"""Rounding may take a confidence this far out of 0..1."""
+
+Output = Float32[np.ndarray, "..."]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidates:
+    """Boxes that a detector believes in at all, in pixels of its input."""
+
+    boxes: Float32[np.ndarray, "n 4"]
+    """Rows x1 y1 x2 y2."""
+    confidences: Float32[np.ndarray, " n"]
+    classes: Int64[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What a decoder goes by: the description, how many classes there are, and the input's size in pixels."""
+
+    description: DetectorDescription
+    classes: int
+    width: int
+    height: int
+
+
+def decoded(outputs: Sequence[Output], layout: Layout) -> Candidates:
+    """Decode what a detector gave for one picture. Raises ValueError where it can't be of this layout."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = _DECODERS[layout.description.decode](outputs, layout)
+    if not np.isfinite(found.boxes).all():
+        raise ValueError(f"boxes decoded as {layout.description.decode} are not finite")
+    return found
+
+
+def grid(layout: Layout) -> Float32[np.ndarray, "a 3"]:
+    """Column, row (in cells) and stride (in pixels) of every cell: finest stride first, row by row."""
+    parts: list[Float32[np.ndarray, "_ 3"]] = []
+    for stride in layout.description.strides:
+        rows, columns = -(-layout.height // stride), -(-layout.width // stride)
+        y, x = np.mgrid[:rows, :columns].astype(np.float32)
+        parts.append(np.stack([x.ravel(), y.ravel(), np.full(x.size, stride, np.float32)], axis=1))
+    return np.concatenate(parts)
+
+
+def _end_to_end(outputs: Sequence[Output], layout: Layout) -> Candidates:
+    """Rows x1 y1 x2 y2 confidence class, nothing left to suppress (YOLOv10, Wang et al. 2024)."""
+    rows = _only_table(outputs, layout, 6)
+    confidences, classes = rows[:, 4], np.rint(rows[:, 5]).astype(np.int64)
+    _check_confidences(confidences, layout)
+    chosen = confidences >= layout.description.least_confidence
+    named = classes[chosen]
+    if len(named) and (named.min() < 0 or named.max() >= layout.classes):
+        raise ValueError(f"it names class {named.max()}, its classes are 0..{layout.classes - 1}")
+    return Candidates(rows[chosen, :4], confidences[chosen], named)
+
+
+def _yolo(outputs: Sequence[Output], layout: Layout) -> Candidates:
+    """Centre, size, a score a class (YOLOv8 and YOLO11 of ultralytics)."""
+    rows = _only_table(outputs, layout, 4 + layout.classes)
+    return _best_classes(_corners(rows[:, :2], rows[:, 2:4]), rows[:, 4:], layout)
+
+
+def _yolo_objectness(outputs: Sequence[Output], layout: Layout) -> Candidates:
+    """Centre, size, objectness, a score a class (YOLOv5, YOLOv6): confidence is objectness times score."""
+    rows = _only_table(outputs, layout, 5 + layout.classes)
+    return _best_classes(_corners(rows[:, :2], rows[:, 2:4]), rows[:, 4:5] * rows[:, 5:], layout)
+
+
+def _yolox(outputs: Sequence[Output], layout: Layout) -> Candidates:
+    """As with objectness, but centres in cells from their cell and logarithms of sizes in cells (Ge et al. 2021)."""
+    rows = _only_table(outputs, layout, 5 + layout.classes)
+    cells = grid(layout)
+    _check_cells(len(rows), cells, layout)
+    stride = cells[:, 2:]
+    boxes = _corners((rows[:, :2] + cells[:, :2]) * stride, np.exp(rows[:, 2:4]) * stride)
+    return _best_classes(boxes, rows[:, 4:5] * rows[:, 5:], layout)
+
+
+def _nanodet(outputs: Sequence[Output], layout: Layout) -> Candidates:
+    """Scores, then for each side of the box a distribution over whole distances in cells (Li et al. 2020, GFL).
+
+    The distance is the distribution's mean. One table holds both, or each stride has a table of scores and one of
+    distributions.
+    """
+    scores, bins = _scores_and_bins(outputs, layout)
+    cells = grid(layout)
+    _check_cells(len(scores), cells, layout)
+    shares = np.exp(bins - bins.max(axis=-1, keepdims=True))
+    shares /= shares.sum(axis=-1, keepdims=True)
+    distances = (shares @ np.arange(bins.shape[-1], dtype=np.float32)) * cells[:, 2:]
+    points = (cells[:, :2] + np.float32(layout.description.cell_center)) * cells[:, 2:]
+    boxes = np.concatenate([points - distances[:, :2], points + distances[:, 2:]], axis=1)
+    return _best_classes(boxes, scores, layout)
+
+
+def _scores_and_bins(
+    outputs: Sequence[Output], layout: Layout
+) -> tuple[Float32[np.ndarray, "a c"], Float32[np.ndarray, "a 4 b"]]:
+    tables = [_table(output, layout) for output in outputs]
+    if len(tables) == 1:
+        width = tables[0].shape[1] - layout.classes
+        scores, bins = tables[0][:, : layout.classes], tables[0][:, layout.classes :]
+    else:
+        scores = _by_stride([table for table in tables if table.shape[1] == layout.classes])
+        bins = _by_stride([table for table in tables if table.shape[1] != layout.classes])
+        width = bins.shape[1]
+    if width < 8 or width % 4 or len(scores) != len(bins):
+        shapes = ", ".join(str(output.shape) for output in outputs)
+        raise ValueError(
+            f"its output {shapes} is not nanodet's (cells, {layout.classes} classes + 4 sides of at least 2 distances)"
+        )
+    return scores, bins.reshape(len(bins), 4, width // 4)
+
+
+def _by_stride(tables: list[Float32[np.ndarray, "_ k"]]) -> Float32[np.ndarray, "a k"]:
+    """One table of several, that with the most cells (the finest stride) first."""
+    if not tables or len({table.shape[1] for table in tables}) > 1:
+        return np.zeros((0, 0), np.float32)
+    return np.concatenate(sorted(tables, key=len, reverse=True))
+
+
+def _best_classes(boxes: Float32[np.ndarray, "a 4"], scores: Float32[np.ndarray, "a c"], layout: Layout) -> Candidates:
+    """Each box with the class that it most likely holds."""
+    classes = scores.argmax(axis=1).astype(np.int64)
+    confidences = np.take_along_axis(scores, classes[:, None], axis=1)[:, 0]
+    _check_confidences(confidences, layout)
+    chosen = confidences >= layout.description.least_confidence
+    return Candidates(boxes[chosen], confidences[chosen], classes[chosen])
+
+
+def _only_table(outputs: Sequence[Output], layout: Layout, columns: int) -> Float32[np.ndarray, "a k"]:
+    """The one output as rows of `columns` numbers, whichever way round it lies."""
+    if len(outputs) != 1:
+        raise ValueError(f"it gives {len(outputs)} outputs; decoded as {layout.description.decode} it must give one")
+    table = _table(outputs[0], layout)
+    if table.shape[1] != columns and table.shape[0] == columns:
+        table = table.T
+    if table.shape[1] != columns:
+        raise ValueError(
+            f"its output is {outputs[0].shape}; decoded as {layout.description.decode} with {layout.classes} classes "
+            f"it must have rows of {columns} numbers"
+        )
+    return table
+
+
+def _table(output: Output, layout: Layout) -> Float32[np.ndarray, "a k"]:
+    """An output of one picture as a table; the axis of pictures may be left out."""
+    if output.ndim == 2:
+        return output
+    if output.ndim == 4 and 1 in output.shape[1:]:
+        output = output.reshape(1, *[each for each in output.shape[1:] if each != 1])
+    if output.ndim != 3 or output.shape[0] != 1:
+        raise ValueError(
+            f"its output is {output.shape}; decoded as {layout.description.decode} it must be (1, rows, columns)"
+        )
+    return output[0]
+
+
+def _check_cells(rows: int, cells: Float32[np.ndarray, "a 3"], layout: Layout) -> None:
+    if rows != len(cells):
+        strides = ", ".join(map(str, layout.description.strides))
+        raise ValueError(
+            f"it gives {rows} rows; an input of {layout.width}x{layout.height} px has {len(cells)} cells of "
+            f"strides {strides}"
+        )
+
+
+def _check_confidences(confidences: Float32[np.ndarray, " a"], layout: Layout) -> None:
+    if len(confidences) and (confidences.min() < -_TOLERANCE or confidences.max() > 1 + _TOLERANCE):
+        raise ValueError(
+            f"decoded as {layout.description.decode} its confidences are {confidences.min():.3g}.."
+            f"{confidences.max():.3g}, not 0..1: it is to be decoded otherwise"
+        )
+
+
+def _corners(centers: Float32[np.ndarray, "a 2"], sizes: Float32[np.ndarray, "a 2"]) -> Float32[np.ndarray, "a 4"]:
+    return np.concatenate([centers - sizes / 2, centers + sizes / 2], axis=1)
+
+
+_DECODERS: dict[str, Callable[[Sequence[Output], Layout], Candidates]] = {
+    "end_to_end": _end_to_end,
+    "yolo": _yolo,
+    "yolo_objectness": _yolo_objectness,
+    "yolox": _yolox,
+    "nanodet": _nanodet,
+}

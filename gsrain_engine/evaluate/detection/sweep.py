@@ -1,0 +1,135 @@
+"""Detectors over views, rains and seeds: each picture is made once and shown to all of them."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import UInt8
+
+from .detector import Detection
+from .frames import JudgedFrame
+from .matching import LEAST_IOU, Match, matched
+from .pictures import Kind, Pictures, Trial
+from .suppression import intersection_over_union
+from .truth import LabelledObject
+
+
+@runtime_checkable
+class Finder(Protocol):
+    """What finds objects in pictures, such as a `Detector`."""
+
+    @property
+    def name(self) -> str:
+        """What rows call it."""
+        ...
+
+    def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
+        """Find objects in a picture (RGB), the most confident first."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judgement:
+    """What one detector made of one picture."""
+
+    detector: str
+    trial: Trial
+    frame: str
+    truths: tuple[LabelledObject, ...]
+    """Objects that are large and free enough to be asked for."""
+    matches: tuple[Match, ...]
+    """One for each of them."""
+    detections: tuple[Detection, ...]
+    """Without those that found an object which is not asked for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JudgedPicture:
+    """A picture with what all detectors made of it."""
+
+    frame: JudgedFrame
+    trial: Trial
+    image: UInt8[np.ndarray, "h w 3"]
+    judgements: Mapping[str, Judgement]
+    """By detector."""
+
+
+def judged_pictures(
+    pictures: Pictures, detectors: Sequence[Finder], frames: Sequence[JudgedFrame], trials: Sequence[Trial]
+) -> Iterator[JudgedPicture]:
+    """Make each picture and show it to each detector; view by view, in the order of the trials."""
+    for frame in frames:
+        for trial in trials:
+            image = pictures.take(frame, trial)
+            judgements = {each.name: judged(each.name, frame, trial, each.detect(image)) for each in detectors}
+            yield JudgedPicture(frame, trial, image, judgements)
+
+
+def judged(detector: str, frame: JudgedFrame, trial: Trial, detections: Sequence[Detection]) -> Judgement:
+    """Match detections with the objects of a view.
+
+    Objects too small or too hidden to be asked for take part in the matching, so that who finds them is not wrong.
+    """
+    truths = tuple(each for each in frame.truths if each.counts)
+    matches = tuple(matched(truths, detections))
+    others = [each for each in frame.truths if not each.counts]
+    fair = tuple(detections)
+    if others and detections:
+        fair = _without_finds(detections, truths, others)
+    return Judgement(detector, trial, frame.name, truths, matches, fair)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One object in one picture, as one detector saw it: a line of the tables."""
+
+    detector: str
+    picture: Kind
+    intensity_mm_h: float
+    seed: int
+    frame: str
+    object: str
+    class_name: str
+    confidence: float
+    """Of the detection of its own class with an IoU of 0.5 or more; 0 where it was missed."""
+    iou: float
+    """Of that detection; 0 where it was missed."""
+    confidence_any_class: float
+    iou_any_class: float
+    class_seen: str | None
+    """What it was taken for; None where nothing was found there."""
+    visibility: float
+    distance_m: float | None
+    height_px: float
+
+    def plain(self) -> dict[str, Any]:
+        """Return its fields by the names of the tables."""
+        fields = {name: getattr(self, name) for name in Row.__slots__}
+        return {("class" if name == "class_name" else name): value for name, value in fields.items()}
+
+
+def rows_of(judgement: Judgement) -> Iterator[Row]:
+    """Lines of a picture: one for each object and each seed, so that seeds pair across intensities, 0 mm/h too."""
+    trial = judgement.trial
+    for seed in trial.seeds:
+        for truth, match in zip(judgement.truths, judgement.matches, strict=True):
+            yield Row(
+                judgement.detector, trial.kind, trial.intensity_mm_h, seed, judgement.frame, truth.id, truth.class_name,
+                match.confidence, match.iou, match.confidence_any_class, match.iou_any_class, match.class_seen,
+                truth.visibility, truth.distance_m, truth.height_px,
+            )  # fmt: skip
+
+
+def _without_finds(
+    detections: Sequence[Detection], truths: Sequence[LabelledObject], others: Sequence[LabelledObject]
+) -> tuple[Detection, ...]:
+    """Leave out detections that lie on an object that is not asked for, and better on it than on any that is."""
+    boxes = np.array([each.box_xyxy for each in detections], np.float64)
+    there = intersection_over_union(_boxes(others), boxes).max(axis=0)
+    asked = intersection_over_union(_boxes(truths), boxes).max(axis=0) if truths else np.zeros(len(boxes))
+    return tuple(each for each, o, a in zip(detections, there, asked, strict=True) if not (o >= LEAST_IOU and o > a))
+
+
+def _boxes(objects: Sequence[LabelledObject]) -> np.ndarray:
+    return np.array([each.box_xyxy for each in objects], np.float64).reshape(-1, 4)

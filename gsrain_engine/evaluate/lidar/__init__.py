@@ -1,0 +1,1 @@
+"""What a lidar measures in the rain that the cameras see."""

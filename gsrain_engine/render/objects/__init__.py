@@ -1,0 +1,1 @@
+"""The objects that a rendered picture shows, and the label files that say so."""

@@ -1,0 +1,169 @@
+"""`gsrain evaluate detection`, as a person types it."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from app.command_line import BAD_INPUT, run
+from boxy_scene import boxy_scene
+from gsrain_engine.datasets.capture import View
+from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.scene.formats import read_scene, write_scene
+from gsrain_engine.scene.rig import rig_camera
+from small_scene import small_scene
+
+pytest.importorskip("onnxruntime")
+pytest.importorskip("pycocotools")
+onnx = pytest.importorskip("onnx")
+
+from evaluate.detection.tiny_onnx import NAMES, write_red_finder  # noqa: E402  needs onnx
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    """A scene with a red car that fills most of a picture twice as wide as it is high."""
+    folder = tmp_path_factory.mktemp("detection") / "red"
+    scene = boxy_scene("red")
+    front = replace(scene.rigs["one"][0], width=960, height=480, fx=3800.0, fy=3800.0, cx=480.0, cy=-60.0)
+    write_scene(replace(scene, actors=scene.actors[:1], rigs={"one": (front,)}), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def detector(tmp_path_factory):
+    """Finds the whole picture as a car, as confidently as its middle is red."""
+    return write_red_finder(tmp_path_factory.mktemp("detectors") / "red.onnx", NAMES)
+
+
+def evaluate(project, detector, *options):
+    words = ["evaluate", "detection", *([str(project)] if project else []), "--detector", str(detector)]
+    return run([*words, "--width", "64", "--backend", "cpu", *options])
+
+
+def test_rows_scores_figures_report_and_video(project, detector, tmp_path, capsys):
+    out, numbers, video = tmp_path / "out", tmp_path / "numbers.json", tmp_path / "views.mp4"
+    options = ("--rain", "0,50", "--seeds", "2", "--frames", "2", "-o", str(out), "--json", str(numbers))
+    assert evaluate(project, detector, *options, "--video", str(video)) == 0
+    said = capsys.readouterr().out
+    assert "red" in said
+    assert "rPC" not in said
+    report = json.loads(numbers.read_text())
+    rows = report["rows"]
+    assert len(rows) == 2 * 2 * 2  # intensities, seeds, frames: one car
+    assert {(row["intensity_mm_h"], row["seed"]) for row in rows} == {(0, 0), (0, 1), (50, 0), (50, 1)}
+    clear = np.mean([row["confidence"] for row in rows if row["intensity_mm_h"] == 0])
+    rainy = np.mean([row["confidence"] for row in rows if row["intensity_mm_h"] == 50])
+    assert 0.5 < clear < 1
+    assert rainy != pytest.approx(clear, abs=1e-4)  # drops before the car change its red
+    assert all(row["iou"] > 0.5 and row["class"] == "car" and row["object"] == "near" for row in rows)
+    assert report["settings"]["detectors"]["red"]["file"] == "red.onnx"
+    scores = {each["intensity_mm_h"]: each for each in report["scores"]}
+    assert scores[50]["change"]["mean"] == pytest.approx(rainy - clear)
+    assert scores[0]["confidence"]["low"] == scores[0]["confidence"]["high"]
+    with (out / "rows.csv").open() as stream:
+        assert len(list(csv.DictReader(stream))) == len(rows)
+    assert json.loads((out / "detection.json").read_text())["rows"] == rows
+    for name in ("confidence.png", "iou.png", "precision.png", "view_0.png", "view_1.png"):
+        assert np.asarray(Image.open(out / name)).shape[1] > 64
+    page = (out / "report.html").read_text()
+    assert page.count("data:image/png") == 3
+    assert page.count("data:image/jpeg") == 2
+    assert "Recall by distance" in page
+    assert video.stat().st_size > 500
+
+
+def test_the_same_command_gives_the_same_rows(project, detector, tmp_path):
+    texts = []
+    for name in ("a.json", "b.json"):
+        assert (
+            evaluate(project, detector, "--rain", "12", "--seeds", "1", "--frames", "1", "--json", str(tmp_path / name))
+            == 0
+        )
+        texts.append(json.loads((tmp_path / name).read_text())["rows"])
+    assert texts[0] == texts[1]
+    assert {row["intensity_mm_h"] for row in texts[0]} == {0, 12}  # what it is compared with is always there
+
+
+def test_pictures_of_a_folder_are_rained_on_by_a_coco_file(detector, tmp_path, capsys):
+    (tmp_path / "pictures").mkdir()
+    red = np.zeros((32, 64, 3), np.uint8)
+    red[:] = 200, 20, 20
+    Image.fromarray(red).save(tmp_path / "pictures" / "one.png")
+    truth = {
+        "images": [{"id": 1, "file_name": "one.png"}],
+        "categories": [{"id": 3, "name": "car"}],
+        "annotations": [{"id": 1, "image_id": 1, "category_id": 3, "bbox": [0, 0, 64, 32]}],
+    }
+    (tmp_path / "truth.json").write_text(json.dumps(truth))
+    numbers = tmp_path / "numbers.json"
+    options = ("--truth", str(tmp_path / "truth.json"), "--rain", "50", "--seeds", "2", "--json", str(numbers))
+    assert evaluate(tmp_path / "pictures", detector, *options) == 0
+    rows = json.loads(numbers.read_text())["rows"]
+    kinds = {(row["picture"], row["intensity_mm_h"], row["seed"]) for row in rows}
+    assert kinds == {("original", 0, 0), ("original", 0, 1), ("rainy", 50, 0), ("rainy", 50, 1)}
+    assert rows[0]["confidence"] == pytest.approx(200 / 255, abs=0.01) or rows[0]["confidence"] > 0.2
+    assert evaluate(tmp_path / "pictures", detector, "--rain", "50") == BAD_INPUT
+    assert "--truth" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--rain", "0,rain"), "--rain 0,rain: expected mm/h within 0..100"),
+        (("--rain", "101"), "within 0..100"),
+        (("--seeds", "0"), "--seeds 0: must be within 1..1000"),
+        (("--frames", "0"), "--frames 0"),
+        (("--from", "2", "--to", "1"), "the second must be later"),
+        (("--cameras", "BACK"), "has no camera 'BACK'"),
+        (("--description", "a", "--description", "b"), "2 for 1 detectors"),
+        (("--truth", "x.json"), "needs --capture"),
+    ],
+)
+def test_bad_options_are_one_line(project, detector, capsys, options, says):
+    assert evaluate(project, detector, *options) == BAD_INPUT
+    error = capsys.readouterr().err.strip()
+    assert says in error
+    assert "\n" not in error
+
+
+def test_scenes_without_anything_to_find_say_what_to_do(detector, tmp_path, capsys):
+    write_scene(small_scene(), tmp_path / "empty")
+    assert evaluate(tmp_path / "empty", detector) == BAD_INPUT
+    assert "has no actors to be found" in capsys.readouterr().err
+    write_scene(boxy_scene(), tmp_path / "far")
+    assert evaluate(tmp_path / "far", detector, "--seeds", "1", "--rain", "0") == BAD_INPUT
+    assert "shows an object of 16 px or more" in capsys.readouterr().err
+
+
+def test_a_reconstruction_is_tried_beside_its_pictures(project, detector, tmp_path):
+    scene = read_scene(project)
+    camera = rig_camera(scene, "one", "FRONT", 0.0)
+    pictures = np.zeros((480, 960, 3), np.uint8)
+    pictures[:] = 120, 20, 20
+    list(write_views(tmp_path / "taken", [View("first", camera, pictures)]))
+    truth = {
+        "images": [{"id": 1, "file_name": "first.png"}],
+        "categories": [{"id": 3, "name": "car"}],
+        "annotations": [{"id": 1, "image_id": 1, "category_id": 3, "bbox": [0, 0, 64, 32]}],
+    }
+    (tmp_path / "truth.json").write_text(json.dumps(truth))
+    numbers = tmp_path / "numbers.json"
+    where = ("--capture", str(tmp_path / "taken"), "--truth", str(tmp_path / "truth.json"))
+    assert evaluate(project, detector, *where, "--rain", "50", "--seeds", "1", "--json", str(numbers)) == 0
+    report = json.loads(numbers.read_text())
+    found = {row["picture"]: row["confidence"] for row in report["rows"]}
+    assert list(found) == ["original", "clear", "rainy"]
+    assert found["clear"] > found["original"] > 0.1  # the scene's car is a brighter red than the picture
+    changes = {each["picture"]: each["change"] for each in report["scores"]}
+    assert changes["original"] is None
+    assert changes["rainy"]["mean"] == pytest.approx(found["rainy"] - found["clear"])
+
+
+def test_what_is_not_installed_is_told_before_the_work(project, detector, monkeypatch, capsys):
+    monkeypatch.setattr("app.commands.evaluate_detection.find_spec", lambda name: None)
+    assert evaluate(project, detector) == BAD_INPUT
+    assert "onnxruntime and pycocotools not installed: pip install 'gsrain[evaluate]'" in capsys.readouterr().err

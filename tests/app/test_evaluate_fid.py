@@ -1,0 +1,160 @@
+"""`gsrain evaluate fid` and the converters of weights, as a user runs them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from app.command_line import BAD_INPUT, run
+from gsrain_engine.evaluate.distribution.feature_cache import PLACE as CACHE
+from gsrain_engine.evaluate.distribution.network_weights import INCEPTION_PLACE
+
+from .picture_sets import write_pictures
+
+
+@pytest.fixture(autouse=True)
+def own_places(tmp_path, monkeypatch):
+    monkeypatch.setenv(CACHE, str(tmp_path / "cache"))
+    monkeypatch.setenv(INCEPTION_PLACE, str(tmp_path / "none"))
+
+
+@pytest.fixture
+def sets(tmp_path):
+    real, fake = (write_pictures(tmp_path / name, 14, k) for k, name in enumerate(("real", "fake")))
+    return real, fake, write_pictures(tmp_path / "dark", 12, 2, darker=0.5)
+
+
+def fid(*arguments):
+    return run(["evaluate", "fid", *map(str, arguments)])
+
+
+def test_two_sets_are_compared_with_the_real_one(sets, tmp_path, capsys):
+    file, page = tmp_path / "out" / "fid.json", tmp_path / "out" / "fid.html"
+    options = ("--extractor", "pixels16", "--resamples", "40", "--json", file, "--report", page)
+    assert fid(*sets, *options) == 0
+    alike, dark = json.loads(file.read_text())["rows"]
+    for row, folder, count in ((alike, sets[1], 14), (dark, sets[2], 12)):
+        assert (row["metric"], row["real"], row["fake"]) == ("FD-pixels16", str(sets[0]), str(folder))
+        assert (row["real_pictures"], row["fake_pictures"], row["features"]) == (14, count, 160)
+        assert row["extractor"] == "colour and edges of 4x4 cells, 128x128 px"
+        assert row["frechet_interval"][0] <= row["frechet"] <= row["frechet_interval"][1]
+    assert alike["kernel_interval"][0] < 0 < alike["kernel_interval"][1]
+    assert dark["kernel_interval"][0] > 0
+    assert alike["frechet"] <= alike["same"]["interval"][1]
+    assert dark["frechet"] > dark["same"]["interval"][1]
+    shown = capsys.readouterr().out
+    lines = [line for line in shown.splitlines() if "colour and edges" in line]
+    assert len(lines) == 2
+    assert all("FD-pixels16" in line and " 14 " in line for line in lines)
+    assert "tells no difference" in shown
+    assert "FID" not in shown  # only Inception's distances have the names
+    assert "KID" not in shown
+    html = page.read_text()
+    assert f"FD-pixels16 of {tmp_path.name}/dark" in html
+    assert "tells no difference" in html
+    again = tmp_path / "again.json"
+    assert fid(*sets, "--extractor", "pixels16", "--resamples", "40", "--json", again) == 0
+    assert again.read_bytes() == file.read_bytes()
+
+
+def test_inception_gives_fid_and_its_features_are_kept(sets, tmp_path, capsys):
+    pytest.importorskip("torch")
+    from ..evaluate.distribution.random_networks import write_inception
+
+    write_inception(tmp_path / "random.npz")
+    weights, kept = tmp_path / "inception.safetensors", tmp_path / "cache"
+    assert run(["evaluate", "inception-weights", str(tmp_path / "random.npz"), "-o", str(weights)]) == 0
+    assert f"{weights}: Inception of FID, 87." in capsys.readouterr().out
+    few = [write_pictures(tmp_path / f"few{k}", 4, 7) for k in range(2)]
+    (few[1] / "000.png").write_bytes((write_pictures(tmp_path / "one", 1, 8) / "000.png").read_bytes())
+    assert fid(*few, "--weights", weights, "--resamples", "20", "--json", tmp_path / "fid.json") == 0
+    (row,) = json.loads((tmp_path / "fid.json").read_text())["rows"]
+    assert (row["metric"], row["kernel_metric"], row["features"], row["real_pictures"]) == ("FID", "KID", 2048, 4)
+    assert row["frechet"] > 0
+    assert len(list(kept.rglob("*.npy"))) == 5  # three pictures are in both sets
+    for file in kept.rglob("*.npy"):
+        np.save(file, np.zeros(2048, np.float32))
+    assert fid(*few, "--weights", weights, "--resamples", "20", "--json", tmp_path / "kept.json") == 0
+    assert json.loads((tmp_path / "kept.json").read_text())["rows"][0]["frechet"] == 0  # it took what was kept
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ([], "no weights of Inception (for FID)"),
+        (["--extractor", "fid"], "--extractor fid: expected one of inception, efficientnet-lite0"),
+        (["--extractor", "pixels16,vgg16", "--weights", "a.pth"], "--weights: belongs to one extractor"),
+        (["--extractor", "pixels16", "--resamples", "3"], "--resamples 3: must be within 20..10000"),
+        (["--weights", "nothing.pth"], "nothing.pth: no such file"),
+        (["--device", "tpu"], "--device"),
+    ],
+)
+def test_bad_options_end_in_one_line(sets, capsys, options, said):
+    if "--extractor" not in options:
+        pytest.importorskip("torch")
+    assert fid(*sets, *options) == BAD_INPUT
+    assert said in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_bad_sets_end_in_one_line(sets, tmp_path, capsys, caplog):
+    def said(*folders):
+        assert fid(*folders, "--extractor", "pixels16") == BAD_INPUT
+        return capsys.readouterr().err.splitlines()[-1]
+
+    assert "FAKE requires an argument" in said(sets[0])
+    assert "no such file or folder; did you mean real?" in said(tmp_path / "reel", sets[1])
+    few = write_pictures(tmp_path / "few", 3, 5)
+    assert f"{few}: 3 pictures; a distribution takes at least 4" in said(sets[0], few)
+    (sets[1] / "003.png").write_bytes((sets[1] / "003.png").read_bytes()[:-40])
+    assert fid(*sets, "--extractor", "pixels16", "--resamples", "20") == 0
+    assert "1 of 14 pictures are left out" in caplog.text
+
+
+def test_lpips_weights_become_plain_arrays(tmp_path, capsys):
+    pytest.importorskip("safetensors")
+    from gsrain_engine.evaluate.lpips_weights import read_lpips_weights
+
+    from ..evaluate.random_lpips import random_weights
+
+    weights = random_weights("alex")
+    weights.write(tmp_path / "alex.npz")
+
+    def convert(source, output):
+        return run(["evaluate", "lpips-weights", str(source), "-o", str(output)])
+
+    assert convert(tmp_path / "alex.npz", tmp_path / "new" / "alex.safetensors") == 0
+    assert "LPIPS of AlexNet, 9.9 MB, SHA-256" in capsys.readouterr().out
+    again = read_lpips_weights(tmp_path / "new" / "alex.safetensors")
+    for mine, theirs in (
+        (weights.kernels, again.kernels),
+        (weights.biases, again.biases),
+        (weights.heads, again.heads),
+    ):
+        assert all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
+    assert convert(tmp_path / "new" / "alex.safetensors", tmp_path / "back.npz") == 0
+    assert (tmp_path / "back.npz").read_bytes() == (tmp_path / "alex.npz").read_bytes()
+    for source, output, said in (
+        (
+            tmp_path / "alex.npz",
+            tmp_path / "alex.onnx",
+            "alex.onnx: expected a name that ends with .safetensors or .npz",
+        ),
+        (tmp_path / "none.pth", tmp_path / "a.npz", "none.pth: no such file"),
+    ):
+        assert convert(source, output) == BAD_INPUT
+        assert said in capsys.readouterr().err
+
+
+def test_doctor_looks_for_inception(tmp_path, monkeypatch):
+    pytest.importorskip("torch")
+    from app.commands.doctor import find_inception
+
+    from ..evaluate.distribution.random_networks import write_inception
+
+    missing = find_inception()
+    assert not missing.found
+    assert "pt_inception-2015-12-05" in missing.what
+    monkeypatch.setenv(INCEPTION_PLACE, str(write_inception(tmp_path / "inception.npz")))
+    assert find_inception().found
+    (tmp_path / "inception.npz").write_bytes(b"torn")
+    assert "inception.npz: not a readable .npz" in find_inception().what

@@ -1,0 +1,121 @@
+"""`gsrain evaluate images`: figures of pairs by name, with masks, as a user runs it."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from app.command_line import BAD_INPUT, run
+from gsrain_engine.evaluate.image_metrics import psnr, ssim
+from gsrain_engine.evaluate.mean_interval import mean_interval
+
+from .picture_sets import write_pictures
+
+
+@pytest.fixture
+def folders(tmp_path):
+    return write_pictures(tmp_path / "shown", 6, 0, noise=6), write_pictures(tmp_path / "truth", 6, 0)
+
+
+def images(*arguments):
+    return run(["evaluate", "images", *map(str, arguments)])
+
+
+def _read(file):
+    return np.asarray(Image.open(file), np.float32) / 255
+
+
+def test_pairs_are_measured_and_told(folders, tmp_path, capsys):
+    file, page = tmp_path / "out" / "images.json", tmp_path / "out" / "images.html"
+    (folders[1] / "004.png").rename(folders[1] / "other.png")
+    assert images(*folders, "--json", file, "--report", page) == 0
+    numbers = json.loads(file.read_text())
+    assert [row["name"] for row in numbers["rows"]] == ["000", "001", "002", "003", "005"]
+    assert numbers["left_out"] == 2
+    first = [_read(folder / "000.png") for folder in folders]
+    assert numbers["rows"][0]["psnr_db"] == pytest.approx(psnr(*first), rel=1e-9)
+    assert numbers["rows"][0]["ssim"] == pytest.approx(ssim(*first), rel=1e-9)
+    assert numbers["rows"][0]["lpips"] is None
+    mean = numbers["means"]["psnr_db"]
+    assert mean["mean"] == pytest.approx(np.mean([row["psnr_db"] for row in numbers["rows"]]))
+    assert mean["low"] < mean["mean"] < mean["high"]
+    shown = capsys.readouterr()
+    assert "mean of 5" in shown.out
+    assert "2 pictures have no other of their name" in shown.err
+    html = page.read_text()
+    assert "Every picture" in html
+    assert "held-out" not in html.lower()
+    again = tmp_path / "again.json"
+    assert images(*folders, "--json", again) == 0
+    assert again.read_bytes() == file.read_bytes()
+
+
+def test_masks_leave_pixels_out(folders, tmp_path):
+    masks = tmp_path / "masks"
+    masks.mkdir()
+    mask = np.zeros((48, 64), np.uint8)
+    mask[:, :40] = 255
+    for name in ("000", "001", "002", "003", "004", "005"):
+        Image.fromarray(mask).save(masks / f"{name}.png")
+        spoilt = np.array(Image.open(folders[0] / f"{name}.png"))
+        spoilt[:, 40:] = 0
+        Image.fromarray(spoilt).save(folders[0] / f"{name}.png")
+
+    def mean(*options):
+        assert images(*folders, "--json", tmp_path / "numbers.json", *options) == 0
+        return json.loads((tmp_path / "numbers.json").read_text())
+
+    masked, whole = mean("--masks", masks), mean()
+    assert masked["rows"][0]["compared_share"] == pytest.approx(0.625)
+    assert whole["rows"][0]["compared_share"] == 1
+    assert masked["means"]["psnr_db"]["mean"] > whole["means"]["psnr_db"]["mean"] + 10
+    (masks / "003.png").unlink()
+    assert images(*folders, "--masks", masks) == BAD_INPUT
+
+
+def test_equal_pictures_are_equal(folders, tmp_path):
+    assert images(folders[1], folders[1], "--json", tmp_path / "same.json") == 0
+    numbers = json.loads((tmp_path / "same.json").read_text())
+    assert numbers["means"]["psnr_db"] == {"mean": None, "low": None, "high": None}  # infinite, which JSON lacks
+    assert numbers["means"]["ssim"]["mean"] == 1
+
+
+def test_lpips_stands_beside(folders, tmp_path, capsys):
+    pytest.importorskip("torch")
+    from ..evaluate.random_lpips import random_weights
+
+    random_weights("alex").write(tmp_path / "alex.npz")
+    assert images(*folders, "--lpips", tmp_path / "alex.npz", "--json", tmp_path / "numbers.json") == 0
+    numbers = json.loads((tmp_path / "numbers.json").read_text())
+    assert all(row["lpips"] > 0 for row in numbers["rows"])
+    assert "LPIPS" in capsys.readouterr().out
+
+
+def test_bad_input_ends_in_one_line(folders, tmp_path, capsys):
+    def said(*arguments):
+        assert images(*arguments) == BAD_INPUT
+        return capsys.readouterr().err.splitlines()[-1]
+
+    other = write_pictures(tmp_path / "other", 2, 0)
+    for file in sorted(other.iterdir()):
+        file.rename(other / f"x{file.name}")
+    assert "no picture of the one has the name of one of the other" in said(folders[0], other)
+    Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(folders[0] / "002.png")
+    assert "002: pictures of one shape" in said(*folders)
+    assert "none.pth: no such file" in said(*folders, "--lpips", tmp_path / "none.pth")
+
+
+def test_the_interval_of_a_mean_covers_it_and_is_seeded():
+    random = np.random.default_rng(0)
+    covers = sum(
+        interval.low <= 3 <= interval.high
+        for interval in (mean_interval(list(random.normal(3, 2, 40)), seed) for seed in range(100))
+    )
+    assert 88 <= covers <= 99
+    values = list(random.normal(0, 1, 20))
+    assert mean_interval(values) == mean_interval(values) != mean_interval(values, 1)
+    assert mean_interval([2.0]) == (2, 2, 2)
+    assert mean_interval([np.inf, np.inf]) == (np.inf, np.inf, np.inf)
+    with pytest.raises(ValueError, match="at least one value"):
+        mean_interval([])

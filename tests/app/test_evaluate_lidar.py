@@ -1,0 +1,107 @@
+"""`gsrain evaluate lidar` on real sweeps, on a small scene, and on bad input."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from app.command_line import BAD_INPUT, run
+from gsrain_engine.scene.formats import write_scene
+from small_scene import small_scene
+
+
+def lidar(*arguments):
+    return run(["evaluate", "lidar", *map(str, arguments)])
+
+
+@pytest.fixture
+def scene(tmp_path):
+    folder = tmp_path / "scene"
+    write_scene(small_scene(), folder)
+    return folder
+
+
+SENSOR = """
+name: four rings
+elevations_deg: [-20, -8, 0, 8]
+azimuth_step_deg: 1
+range_m: 40
+least_reflectance: 0.0001
+"""
+
+
+def test_a_scene_is_scanned_and_rained_on(scene, tmp_path, capsys):
+    sensor, out = tmp_path / "sensor.yaml", tmp_path / "out"
+    sensor.write_text(SENSOR)
+    options = ("--sensor", sensor, "--rain", "0,8.5,50", "--seeds", 2, "--sweeps", 2, "--json", tmp_path / "n.json")
+    assert lidar(scene, "-o", out, *options) == 0
+    report = json.loads((tmp_path / "n.json").read_text())
+    assert report["sensor"]["name"] == "four rings"
+    rows = report["rows"]
+    assert len(rows) == 3 * 2 * 2
+    dry, heavy = ([row for row in rows if row["intensity_mm_h"] == rain] for rain in (0, 50))
+    assert all(row["kept"] == row["clear"] > 100 and row["false"] == row["dropped"] == 0 for row in dry)
+    assert sum(row["dropped"] for row in heavy) > 0 and sum(row["false"] for row in heavy) > 0
+    assert all(row["clear"] == row["kept"] + row["dropped"] + row["masked"] for row in rows)
+    with (out / "lidar.csv").open() as file:
+        lines = list(csv.DictReader(file))
+    assert sum(int(line["false"]) for line in lines) == sum(row["false"] for row in rows)
+    for row in heavy:
+        sweep = np.load(out / "sweeps" / f"{row['turn']}_rain50_seed{row['seed']}.npz")
+        assert len(sweep["points_m"]) == row["kept"] + row["false"]
+        assert sweep["is_false"].sum() == row["false"]
+    assert (out / "lidar.png").read_bytes().startswith(b"\x89PNG")
+    assert "kept" in capsys.readouterr().out
+
+
+def test_the_same_command_writes_the_same_bytes(scene, tmp_path):
+    sensor = tmp_path / "sensor.yaml"
+    sensor.write_text(SENSOR)
+    for name in ("a", "b"):
+        assert lidar(scene, "-o", tmp_path / name, "--sensor", sensor, "--rain", "30", "--seeds", 1) == 0
+    for name in ("lidar.csv", "lidar.png", "sweeps/scan0000_rain30_seed0.npz"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_a_real_sweep_is_rained_on(test_data, tmp_path, capsys):
+    capture = test_data / "weather/rainsense/clear/scene_0/case_000"
+    options = ("--rain", "0,9.245", "--seeds", "1", "--no-write-sweeps", "--json", "-")
+    assert lidar(capture, "-o", tmp_path, *options) == 0
+    dry, wet = json.loads(capsys.readouterr().out)["rows"]
+    assert dry["clear"] == wet["clear"] == 16_562
+    assert dry["untouched"] == 1138  # the data set writes beams without an echo as points at the origin
+    assert 200 < dry["range_10_m"] < 350
+    assert 0.9 < wet["kept"] / wet["clear"] < 0.999
+    assert not (tmp_path / "sweeps").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--rain", "1,-2"), "--rain 1,-2: expected intensities"),
+        (("--rain", "101"), "--rain 101: expected intensities"),
+        (("--seeds", "0"), "--seeds 0: must be within 1..1000"),
+        (("--reflectance", "1.5"), "--reflectance 1.5: must be within"),
+        (("--sensor", "99"), "--sensor 99: expected 32, 64, 128, 1550, or"),
+        (("--least-reflectance", "0.2"), "--least-reflectance 0.2: must be within 0..0.1"),
+        (("--range-10", "0"), "--range-10 0: must be within 1..1000 m"),
+    ],
+)
+def test_bad_options_end_with_one_line(tmp_path, capsys, options, said):
+    assert lidar("street", "-o", tmp_path / "out", *options) == BAD_INPUT
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_bad_sensor_file_names_the_field(scene, tmp_path, capsys):
+    sensor = tmp_path / "sensor.yaml"
+    sensor.write_text(SENSOR + "divergence_mrad: 100\n")
+    assert lidar(scene, "-o", tmp_path / "out", "--sensor", sensor) == BAD_INPUT
+    assert "$.divergence_mrad" in capsys.readouterr().err
+
+
+def test_a_capture_without_lidar_is_refused(test_data, tmp_path, capsys):
+    assert lidar(test_data / "driving/nuscenes_rear_26", "-o", tmp_path / "out") == BAD_INPUT
+    assert "no lidar sweeps" in capsys.readouterr().err

@@ -1,0 +1,134 @@
+"""What is left of detection at each intensity."""
+
+import numpy as np
+import pytest
+
+from gsrain_engine.evaluate.detection.curves import object_figure, pixels, precision_figure, shown_objects
+from gsrain_engine.evaluate.detection.detector import Detection
+from gsrain_engine.evaluate.detection.frames import JudgedFrame
+from gsrain_engine.evaluate.detection.pictures import Trial
+from gsrain_engine.evaluate.detection.summary import Change, distance_scores, plain, robustness_of, scores
+from gsrain_engine.evaluate.detection.sweep import judged, rows_of
+from gsrain_engine.evaluate.detection.table import write_csv, write_parquet
+from gsrain_engine.evaluate.detection.truth import LabelledObject
+from gsrain_engine.render.scene_view import Shot
+from gsrain_engine.scene.camera import Camera
+
+pytest.importorskip("pycocotools")
+
+NEAR = LabelledObject("near", "car", (0.0, 0.0, 40.0, 40.0), distance_m=8.0)
+FAR = LabelledObject("far", "car", (50.0, 0.0, 80.0, 20.0), distance_m=35.0)
+FRAME = JudgedFrame("f", Shot(Camera(100, 100, 50.0, 50.0, 50.0, 50.0)), (NEAR, FAR))
+
+
+def found(kind, rate, seeds, near, far):
+    """Judge a picture in which the cars are found with these confidences; 0 is a miss."""
+    detections = [
+        Detection("car", confidence, each.box_xyxy) for each, confidence in ((NEAR, near), (FAR, far)) if confidence
+    ]
+    return judged("d", FRAME, Trial(kind, rate, seeds), detections)
+
+
+@pytest.fixture(scope="module")
+def judgements():
+    return [
+        found("clear", 0.0, (0, 1), 0.9, 0.7),
+        found("rainy", 8.5, (0,), 0.8, 0.4),
+        found("rainy", 8.5, (1,), 0.8, 0.0),
+    ]
+
+
+@pytest.fixture(scope="module")
+def rows(judgements):
+    return [row for each in judgements for row in rows_of(each)]
+
+
+def test_scores_are_means_over_objects_with_the_range_of_the_seeds(rows, judgements):
+    clear, rainy = scores(rows, judgements)
+    assert (clear.confidence.mean, clear.confidence.low, clear.confidence.high) == pytest.approx((0.8, 0.8, 0.8))
+    assert (rainy.confidence.mean, rainy.confidence.low, rainy.confidence.high) == pytest.approx((0.5, 0.4, 0.6))
+    assert (clear.recall.mean, rainy.recall.mean) == (1.0, 0.75)
+    assert clear.objects == rainy.objects == 2
+    assert clear.map50.mean == pytest.approx(1.0)
+    assert rainy.map50.high == pytest.approx(1.0)
+    assert rainy.map50.low == pytest.approx(51 / 101)  # one of two: precision 1 up to a recall of 0.5
+    assert clear.change is None
+    assert rainy.change.mean == pytest.approx(-0.3)
+
+
+def test_changes_are_paired_by_seed():
+    change = Change.of([-0.1, -0.2, -0.3])
+    half = 4.302652729911275 * 0.1 / np.sqrt(3)  # Student's t with two degrees of freedom
+    assert (change.mean, change.low, change.high) == pytest.approx((-0.2, -0.2 - half, -0.2 + half))
+    alone = Change.of([-0.1])
+    assert alone.mean == -0.1
+    assert np.isnan([alone.low, alone.high]).all()
+
+
+def test_what_is_left_is_told_as_mpc_and_rpc(rows, judgements):
+    left = robustness_of(scores(rows, judgements))["d"]
+    assert left.mpc == pytest.approx((1 + 51 / 101) / 2)
+    assert left.rpc == pytest.approx(left.mpc)
+
+
+def test_recall_falls_with_distance(rows):
+    bins = {(each.picture, each.recall.from_m): each.recall for each in distance_scores(rows)}
+    assert (bins["clear", 0].objects, bins["clear", 0].found) == (1, 1)  # once, not once a seed
+    assert (bins["rainy", 0].objects, bins["rainy", 0].found) == (2, 2)
+    assert (bins["rainy", 30].objects, bins["rainy", 30].found) == (2, 1)
+    assert ("rainy", 10) not in bins
+
+
+def test_a_detector_that_finds_nothing_can_be_scored_and_written():
+    blind = [found("clear", 0.0, (0,), 0, 0), found("rainy", 8.5, (0,), 0, 0)]
+    blind_rows = [row for each in blind for row in rows_of(each)]
+    scored = scores(blind_rows, blind)
+    assert [each.map50.mean for each in scored] == [0.0, 0.0]
+    assert np.isnan(robustness_of(scored)["d"].rpc)
+    assert plain(scored[1])["change"]["low"] is None
+
+
+def test_tables_have_the_names_of_the_contract(rows, tmp_path):
+    write_csv(tmp_path / "rows.csv", rows)
+    lines = (tmp_path / "rows.csv").read_text().splitlines()
+    names = lines[0].split(",")
+    assert {"detector", "intensity_mm_h", "seed", "frame", "object", "class", "confidence", "iou"} <= set(names)
+    last = dict(zip(names, lines[-1].split(","), strict=True))
+    assert (last["object"], last["confidence"], last["class_seen"]) == ("far", "0.0", "")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    assert write_parquet(tmp_path / "rows.parquet", rows)
+    assert parquet.read_table(tmp_path / "rows.parquet").to_pylist() == [row.plain() for row in rows]
+
+
+def test_only_what_is_believed_is_a_flip():
+    faint, sure = (Detection("truck", confidence, NEAR.box_xyxy) for confidence in (0.1, 0.6))
+    trial = Trial("clear", 0.0, (0,))
+    for each, share in ((faint, 0.0), (sure, 0.5)):
+        one = judged("d", FRAME, trial, [each])
+        assert scores(list(rows_of(one)), [one])[0].flips.mean == share
+
+
+def test_a_reconstruction_is_compared_with_its_pictures():
+    both = [found("original", 0.0, (0, 1), 0.9, 0.8), found("clear", 0.0, (0, 1), 0.8, 0.7)]
+    rows = [row for each in both for row in rows_of(each)]
+    original, clear = scores(rows, both)
+    assert original.change is None
+    assert clear.change.mean == pytest.approx(-0.1)
+    assert np.isnan(clear.change.low)  # no rain, no drops that could differ
+    marks = [line for line in object_figure(rows, "confidence").axes[0].get_lines() if line.get_marker() == "x"]
+    assert sorted(line.get_ydata()[0] for line in marks) == pytest.approx([0.8, 0.9])
+
+
+def test_figures_show_means_and_bands_by_object(rows, judgements):
+    assert list(shown_objects(rows)) == ["near", "far"]
+    figure = object_figure(rows, "confidence")
+    (panel,) = figure.axes
+    curves = {line.get_label(): line.get_ydata() for line in panel.get_lines()}
+    np.testing.assert_allclose(curves["far: car, 35 m, 1 frame"], [0.7, 0.2])
+    np.testing.assert_allclose(curves["mean of all 2 objects"], [0.8, 0.5])
+    _, far = panel.collections
+    corners = far.get_paths()[0].vertices
+    at_last = corners[corners[:, 0] == 8.5][:, 1]
+    assert (at_last.min(), at_last.max()) == pytest.approx((0.0, 0.4))
+    np.testing.assert_array_equal(pixels(object_figure(rows, "iou")), pixels(object_figure(rows, "iou")))
+    assert len(precision_figure(scores(rows, judgements)).axes) == 2

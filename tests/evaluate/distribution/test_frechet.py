@@ -1,0 +1,98 @@
+"""The Frechet distance against closed forms, scipy's matrix root and torchmetrics."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import linalg
+
+from gsrain_engine.evaluate.distribution.frechet import frechet_distance, rotated
+
+
+def _set(count, features, seed, shift=0.0, scale=1.0):
+    spread = np.arange(1, features + 1) ** -0.5
+    return np.random.default_rng(seed).normal(0, 1, (count, features)) * spread * scale + shift
+
+
+def _whitened(count, features, seed):
+    """Points with mean 0 and a covariance of exactly one."""
+    points = np.random.default_rng(seed).normal(0, 1, (count, features))
+    points -= points.mean(axis=0)
+    return points @ np.linalg.inv(np.linalg.cholesky(np.cov(points.T))).T
+
+
+def _by_roots(real, fake):
+    """The formula as it stands, by scipy's root of a matrix."""
+    first, second = np.cov(real.T), np.cov(fake.T)
+    root = linalg.sqrtm(first @ second).real
+    return np.sum((real.mean(0) - fake.mean(0)) ** 2) + np.trace(first + second - 2 * root)
+
+
+def test_known_gaussians_have_the_closed_form():
+    """Of covariances that share their axes: sum of squares of the differences of means and of deviations."""
+    turn = np.linalg.qr(np.random.default_rng(5).normal(0, 1, (6, 6)))[0]
+    first, second = np.array([1.0, 2, 3, 0.5, 4, 1]), np.array([2.0, 2, 1, 0.7, 0.1, 3])
+    mean = np.array([0.3, -1, 0, 2, 0, 0.5])
+    real, fake = (_whitened(40, 6, 1) * first) @ turn, (_whitened(25, 6, 2) * second + mean) @ turn
+    expected = np.sum(mean**2) + np.sum((first - second) ** 2)
+    assert frechet_distance(real, fake) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(("n", "m"), [(200, 150), (200, 20), (20, 30)])
+def test_it_is_the_formula_with_many_pictures_and_with_few(n, m):
+    real, fake = _set(n, 48, 0), _set(m, 48, 1, 0.1, 1.3)
+    assert frechet_distance(real, fake) == pytest.approx(_by_roots(real, fake), rel=1e-5)
+
+
+@given(st.integers(2, 40), st.integers(2, 40), st.integers(1, 30), st.integers(0, 1000))
+def test_it_is_symmetric_never_negative_and_keeps_under_rotation(n, m, features, seed):
+    real, fake = _set(n, features, seed), _set(m, features, seed + 1, 0.2)
+    distance = frechet_distance(real, fake)
+    assert distance >= 0
+    assert frechet_distance(fake, real) == pytest.approx(distance, rel=1e-9, abs=1e-10)
+    short = rotated(real, fake)
+    assert short[0].shape[1] <= min(features, n + m)
+    assert frechet_distance(*short) == pytest.approx(distance, rel=1e-9, abs=1e-9)
+
+
+def test_of_a_set_and_itself_it_is_zero_and_scales_with_the_square():
+    real, fake = _set(30, 64, 3).astype(np.float32), _set(30, 64, 4).astype(np.float32)
+    assert frechet_distance(real, real) == pytest.approx(0, abs=1e-6)
+    assert frechet_distance(4 * real, 4 * fake) == pytest.approx(16 * frechet_distance(real, fake), rel=1e-6)
+    assert frechet_distance(real, fake + 1) == pytest.approx(
+        frechet_distance(real, fake)
+        + np.sum((real.mean(0) - fake.mean(0) - 1) ** 2)
+        - np.sum((real.mean(0) - fake.mean(0)) ** 2),
+        rel=1e-4,
+    )
+
+
+def test_bad_features_are_named():
+    good = _set(5, 4, 0)
+    with pytest.raises(ValueError, match="1 fake pictures: a covariance takes at least two"):
+        frechet_distance(good, good[:1])
+    with pytest.raises(ValueError, match="features of the real pictures are not all finite"):
+        frechet_distance(np.where(good > 0, good, np.nan), good)
+    with pytest.raises(ValueError, match="features of 4 and 3 numbers"):
+        frechet_distance(good, good[:, :3])
+
+
+@pytest.mark.parametrize("count", [24, 90])
+def test_torchmetrics_agrees(count):
+    torch = pytest.importorskip("torch")
+    fid = pytest.importorskip("torchmetrics.image.fid")
+
+    class Features(torch.nn.Module):
+        num_features = 48
+
+        def forward(self, pictures):
+            return pictures.float().reshape(len(pictures), -1)[:, :48] / 50
+
+    random = np.random.default_rng(0)
+    real, fake = (random.integers(0, top, (count, 3, 4, 4)).astype(np.uint8) for top in (256, 200))
+    metric = fid.FrechetInceptionDistance(feature=Features(), input_img_size=(3, 4, 4))
+    metric.set_dtype(torch.float64)
+    metric.update(torch.from_numpy(real), real=True)
+    metric.update(torch.from_numpy(fake), real=False)
+    ours = frechet_distance(*(each.reshape(count, -1) / np.float32(50) for each in (real, fake)))
+    assert float(metric.compute()) == pytest.approx(ours, rel=1e-3)

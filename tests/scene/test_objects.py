@@ -1,0 +1,63 @@
+"""The things in a scene that have a class and a box."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from boxy_scene import boxy_scene
+from gsrain_engine.scene.coco_classes import COCO_CATEGORIES
+from gsrain_engine.scene.objects import scene_objects
+from gsrain_engine.scene.street.layout import plan_street
+from gsrain_engine.scene.street.parameters import StreetParameters
+from gsrain_engine.session.files.open_scene import cached_street
+
+
+@pytest.fixture(scope="module")
+def street():
+    return cached_street()
+
+
+def test_the_street_has_its_lead_car_and_every_parked_one(street):
+    objects = scene_objects(street)
+    cars = plan_street(StreetParameters()).cars
+    assert [each.id for each in objects] == ["lead", *(f"parked-{k:02d}" for k in range(len(cars)))]
+    parked = objects[1:]
+    rows = np.concatenate([each.rows for each in parked])
+    assert len(np.unique(rows)) == len(rows)
+    layer = street.member("layers/parked cars")
+    assert len(rows) > 0.98 * len(layer.gaussians)
+    for each, car in zip(parked, cars, strict=True):
+        middle = layer.gaussians.means[each.rows][:, :2].mean(axis=0)
+        np.testing.assert_allclose(middle, (car.x, car.y), atol=0.5)
+        np.testing.assert_allclose(each.track.pose(3.0)[:2, 3], (car.x, car.y))
+
+
+def test_the_shadow_that_a_car_carries_along_is_not_the_car(street):
+    lead = street.actors[0]
+    rows = scene_objects(street)[0].rows
+    left_out = np.delete(np.arange(len(lead.gaussians)), rows)
+    assert len(left_out) > 100
+    np.testing.assert_allclose(lead.gaussians.means[left_out, 2], 0.06, atol=1e-3)
+    assert lead.gaussians.opacities[left_out].max() < 0.6
+    assert lead.gaussians.opacities[rows].min() > 0.5
+
+
+def test_another_street_has_no_known_parked_cars(street):
+    layer = street.member("layers/parked cars")
+    moved = replace(layer.gaussians, means=layer.gaussians.means + np.float32([3, 0, 0]))
+    assert len(scene_objects(street.with_member("layers/parked cars", gaussians=moved))) == 1
+    assert len(scene_objects(replace(street, name="mine"))) == 1
+    assert len(scene_objects(street.with_member("layers/parked cars", visible=False))) == 1
+
+
+def test_actors_are_objects_while_they_can_be_seen():
+    scene = boxy_scene()
+    assert [each.class_name for each in scene_objects(scene)] == ["Car", "Car"]
+    assert len(scene_objects(scene.with_member("actors/far", visible=False))) == 1
+
+
+def test_category_ids_are_those_of_coco_2017():
+    known = {"person": 1, "car": 3, "truck": 8, "stop sign": 13, "umbrella": 28, "skis": 35, "dining table": 67}
+    assert {name: COCO_CATEGORIES[name] for name in known} == known
+    assert (len(COCO_CATEGORIES), COCO_CATEGORIES["tv"], COCO_CATEGORIES["toothbrush"]) == (80, 72, 90)
