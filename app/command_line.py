@@ -64,6 +64,11 @@ evaluations.command(
     "app.commands.evaluate_fid:fid", name="fid", help="FID and KID of pictures to real ones, with how sure they are."
 )
 evaluations.command(
+    "app.commands.evaluate_transfers:transfers",
+    name="transfers",
+    help="Compare transfers with each other, as the paper does: table and figure of a YAML file, resumable.",
+)
+evaluations.command(
     "app.commands.evaluate_images:images", name="images", help="PSNR, SSIM and LPIPS of pictures of the same names."
 )
 evaluations.command(

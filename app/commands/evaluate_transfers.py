@@ -1,0 +1,149 @@
+"""`gsrain evaluate transfers COMPARISON.yaml -o DIR`: the paper's comparison of transfers as one command."""
+
+import json as json_text
+import sys
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from cyclopts import Parameter
+from PIL import Image
+from rich.console import Console
+
+from gsrain_engine.appearance.methods import method_of
+from gsrain_engine.datasets.capture import Capture
+from gsrain_engine.evaluate.comparison.method_folders import check_methods
+from gsrain_engine.evaluate.comparison.run import ComparisonResult, run_comparison
+from gsrain_engine.evaluate.comparison.settings import CLEAR, SHIPPED, Comparison, load_comparison
+from gsrain_engine.evaluate.comparison.source import ComparedSource, capture_source, held_out_pictures, real_pictures
+from gsrain_engine.evaluate.comparison.stamp import stamp
+from gsrain_engine.evaluate.comparison.table import comma_separated, markdown, plain
+from gsrain_engine.evaluate.distribution.extractor import Extractor, ExtractorChoice
+from gsrain_engine.evaluate.distribution.extractors import open_extractor
+from gsrain_engine.evaluate.distribution.feature_cache import FeatureCache
+from gsrain_engine.evaluate.report.run_report import write_report
+from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.session.jobs.torch_extra import require_torch
+from gsrain_engine.shipped_configs import shipped_names
+
+from .arguments import write_numbers
+from .outputs import check_writable
+from .progress import followed
+from .sources import names_scene
+from .transfers_page import print_transfers, transfers_page
+
+_SCREEN = Path("-")
+_COLUMNS = 160
+
+
+def transfers(
+    comparison: Annotated[
+        str, Parameter(help=f"YAML file, or a shipped comparison: {', '.join(shipped_names(SHIPPED))}.")
+    ],
+    /,
+    *,
+    output: Annotated[
+        Path, Parameter(name=["--output", "-o"], help="Folder for pictures, table, figure; run again, it goes on.")
+    ],
+    only: Annotated[str, Parameter(help="Only these of its methods, by name, commas between.")] = "",
+    device: Annotated[Literal["cpu", "cuda"], Parameter(help="Where torch computes features.")] = "cpu",
+    json: Annotated[
+        Path | None,
+        Parameter(name="--json", help="Also write the numbers to this file; - prints them.", allow_leading_hyphen=True),
+    ] = None,
+) -> None:
+    """Make the same views rainy by several methods, and compare each with real rainy pictures.
+
+    FID (or its like) and KID with intervals of 95 %, whether neighbouring views still agree, seconds, and a figure.
+    Methods whose pictures stand in DIR, made in the same way, are not run again.
+    """
+    told = load_comparison(comparison)
+    names = tuple(name.strip() for name in only.split(",") if name.strip())
+    told = told.only(names) if names else told
+    check_writable(output / "table.md", None if json == _SCREEN else json)
+    for each in told.methods:
+        if each.method != CLEAR and method_of(each.method).needs_torch:
+            require_torch(f"method {each.name!r}")
+    check_methods(told, output)
+    extractor = _extractor(ExtractorChoice(name=told.extractor, weights=told.extractor_weights, device=device))
+    source, real = _opened(told)
+    result = followed(run_comparison(told, source, real, extractor, FeatureCache(), output))
+    numbers = _numbers(comparison, told, source, real, result)
+    _write(output, numbers, result, told, source, real)
+    print_transfers(
+        result, Console(file=sys.stderr if json == _SCREEN else sys.stdout, width=_COLUMNS, highlight=False)
+    )
+    print(f"wrote {output}: table.md, table.csv, table.json, figure.png, report.html", file=sys.stderr)
+    if json == _SCREEN:
+        print(json_text.dumps(numbers, indent=1))
+    else:
+        write_numbers(json, numbers)
+
+
+def _extractor(choice: ExtractorChoice) -> Extractor:
+    try:
+        return open_extractor(choice)
+    except ModuleNotFoundError as error:
+        raise ValueError(f"extractor {choice.name} needs {error.name}: pip install 'gsrain[evaluate]'") from None
+
+
+def _opened(told: Comparison) -> tuple[ComparedSource, Capture]:
+    if told.pictures is not None:
+        return held_out_pictures(told.pictures, told.width_px)
+    assert told.source is not None
+    real = real_pictures(told.real, told.width_px)
+    choice = msgspec.structs.replace(told.views, width_px=told.width_px)
+    if names_scene(told.source):
+        from .transferred_views import source_views  # kernels take a second to load
+
+        opened = source_views(told.source, choice, told.capture)
+        stamps = "-".join(stamp(Path(each)) for each in (told.source, told.capture) if each is not None)
+        return ComparedSource(
+            opened.name, opened.views, opened.surroundings, opened.to_world, opened.mask, True, stamps
+        ), real
+    from gsrain_engine.appearance.views.choice import chosen_views
+    from gsrain_engine.datasets.open_capture import open_capture
+
+    capture = chosen_views(open_capture(told.source), choice)
+    return capture_source(capture, told.width_px, stamp(Path(told.source))), real
+
+
+def _numbers(
+    name: str, told: Comparison, source: ComparedSource, real: Capture, result: ComparisonResult
+) -> dict[str, Any]:
+    return {
+        "gsrain": version("gsrain"),
+        "comparison": name,
+        "source": source.name,
+        "views": len(source.views),
+        "real_pictures": len(real),
+        "resamples": told.resamples,
+        "seed": told.seed,
+        "shown": list(result.shown),
+        "kept": list(result.kept),
+        "rows": [plain(row) for row in result.rows],
+        "settings": msgspec.to_builtins(told, enc_hook=str),
+    }
+
+
+def _write(
+    output: Path,
+    numbers: dict[str, Any],
+    result: ComparisonResult,
+    told: Comparison,
+    source: ComparedSource,
+    real: Capture,
+) -> None:
+    texts = {
+        "table.md": markdown(result.rows),
+        "table.csv": comma_separated(result.rows),
+        "table.json": json_text.dumps(numbers, indent=1) + "\n",
+    }
+    for name, text in texts.items():
+        with whole_file(output / name) as beside:
+            beside.write_text(text, encoding="utf-8")
+    with whole_file(output / "figure.png") as beside:
+        Image.fromarray(result.figure).save(beside, "png")
+    facts = {"views": f"{len(source.views)} of {source.name}", "real pictures": len(real)}
+    write_report(output / "report.html", transfers_page(result, told, facts))

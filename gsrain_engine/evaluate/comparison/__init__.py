@@ -1,0 +1,1 @@
+"""The paper's comparison of transfers: one table and one figure of many methods on the same views."""

@@ -1,0 +1,27 @@
+"""What tells whether files are still those that something was made of: names, sizes and times, not their bytes."""
+
+import hashlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+
+def stamp(path: Path) -> str:
+    """Return a hash (SHA-256, 16 hex digits) over names, sizes and times of a file, or of all files below a folder.
+
+    Weights have gigabytes and data sets many files: their bytes are not read. "absent" for what is not there.
+    """
+    found = hashlib.sha256()
+    if not path.exists():
+        return "absent"
+    for file in [path] if path.is_file() else _below(path):
+        about = file.stat()
+        name = file.relative_to(path).as_posix()
+        found.update(f"{name}\0{about.st_size}\0{about.st_mtime_ns}\n".encode())
+    return found.hexdigest()[:16]
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    for root, folders, files in os.walk(folder):
+        folders.sort()
+        yield from (Path(root) / name for name in sorted(files) if (Path(root) / name).is_file())

@@ -1,0 +1,194 @@
+"""`gsrain evaluate transfers`, as a user runs it: on a tiny street and tiny models."""
+
+import csv
+import json
+import shutil
+
+import pytest
+import yaml
+from PIL import Image
+
+from app.command_line import BAD_INPUT, run
+from gsrain_engine.appearance.cyclegan_turbo import places
+from gsrain_engine.appearance.transferred_folder import read_transferred
+from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.evaluate.distribution.feature_cache import PLACE as CACHE
+from gsrain_engine.scene.formats import write_scene
+from tests.reconstruct.drive_capture import drive_capture
+from tests.reconstruct.small_street import small_street
+
+from .picture_sets import write_pictures
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("transfers")
+    write_scene(small_street(), folder / "scene")
+    write_pictures(folder / "real", 6, 0, darker=0.6)
+    list(write_views(folder / "drive", drive_capture(4)))
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def own_places(tmp_path, monkeypatch, files):
+    monkeypatch.setenv(CACHE, str(tmp_path / "cache"))
+    monkeypatch.setenv(places.WEIGHTS_VARIABLE, str(tmp_path / "no weights"))
+    monkeypatch.setenv(places.BASE_VARIABLE, str(tmp_path / "no base"))
+    monkeypatch.chdir(files)
+
+
+def settings(**changes):
+    return {
+        "source": "scene", "real": ["real"], "views": {"count": 4, "width_px": 64}, "extractor": "pixels16",
+        "resamples": 20, "columns": 2,
+        "methods": [{"name": "clear", "method": "clear"}, {"name": "wet", "method": "wet"}],
+    } | changes  # fmt: skip
+
+
+def transfers(tmp_path, told, *options):
+    file = tmp_path / "comparison.yaml"
+    file.write_text(yaml.safe_dump(told))
+    return run(["evaluate", "transfers", str(file), "-o", str(tmp_path / "out"), *map(str, options)])
+
+
+@pytest.fixture
+def one_thread():
+    """Threads that wait for each other take longer over tiny models than the models themselves."""
+    torch = pytest.importorskip("torch")
+    usual = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(usual)
+
+
+def test_ablations_of_a_tiny_model_become_table_and_figure(tmp_path, capsys, one_thread):
+    pytest.importorskip("diffusers")
+    from gsrain_engine.appearance.cyclegan_turbo.architecture import tiny
+    from gsrain_engine.appearance.cyclegan_turbo.lora import LoraRanks
+    from gsrain_engine.appearance.cyclegan_turbo.model import build
+    from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights
+
+    weights, out = tmp_path / "tiny.safetensors", tmp_path / "out"
+    save_weights(build(tiny(), True, LoraRanks(2, 2)), weights)
+    learned = {"method": "cyclegan-turbo", "weights": str(weights), "side_px": 64}
+    ablations = [
+        {"name": "ours", **learned},
+        {"name": "without normals", **learned, "normals": "none"},
+        {"name": "without mutual attention", **learned, "mutual_attention": False},
+    ]
+    told = settings(methods=[*settings()["methods"], *ablations])
+    assert transfers(tmp_path, told) == 0
+    shown = capsys.readouterr().out
+    rows = json.loads((out / "table.json").read_text())["rows"]
+    names = ["clear", "wet", "ours", "without normals", "without mutual attention"]
+    assert [row["name"] for row in rows] == names
+    assert [(row["real_pictures"], row["fake_pictures"], row["metric"]) for row in rows] == [(6, 4, "FD-pixels16")] * 5
+    assert all(name in shown for name in names)
+    assert "FID" not in shown  # only Inception's features give it
+    assert all(row["frechet_interval"][0] <= row["frechet"] <= row["frechet_interval"][1] for row in rows)
+    clear, wet, ours, flat, alone = rows
+    assert (clear["ratio"], clear["contrast_ratio"]) == (pytest.approx(1), pytest.approx(1))
+    assert clear["pairs"] >= 4
+    assert len({row["frechet"] for row in (clear, wet, ours, alone)}) == 4
+    assert flat["frechet"] == ours["frechet"]  # an untrained fourth channel changes nothing
+    assert all(row["seconds"] > 0 for row in rows)
+    assert read_transferred(out / "without normals").record.settings["normals"] == "none"
+    assert read_transferred(out / "without mutual attention").record.settings["mutual_attention"] is False
+    with (out / "table.csv").open(newline="") as opened:
+        told_rows = list(csv.DictReader(opened))
+    assert [float(row["FD-pixels16"]) for row in told_rows] == [row["frechet"] for row in rows]
+    lines = (out / "table.md").read_text().splitlines()
+    assert [line.split("|")[1].strip() for line in lines[2:7]] == names
+    best = min(row["frechet"] for row in rows)
+    assert ["**" in line for line in lines[2:7]] == [row["frechet"] == best for row in rows]
+    with Image.open(out / "figure.png") as figure:
+        assert figure.width > 2 * 360
+        assert figure.height > 5 * 240
+    page = (out / "report.html").read_text()
+    assert "without mutual attention" in page
+    assert "data:image/jpeg" in page
+
+
+def test_what_stands_is_kept_and_only_what_changed_runs_again(tmp_path, capsys):
+    numbers, out = tmp_path / "n.json", tmp_path / "out"
+    assert transfers(tmp_path, settings(), "--json", numbers) == 0
+    first = json.loads(numbers.read_text())
+    assert first["kept"] == []
+    times = {name: (out / name / "transfer.json").stat().st_mtime_ns for name in ("clear", "wet")}
+    assert transfers(tmp_path, settings(), "--json", numbers) == 0
+    again = json.loads(numbers.read_text())
+    assert "Not run again, for their pictures stand: clear, wet." in capsys.readouterr().out
+    assert again["kept"] == ["clear", "wet"]
+    assert again["rows"] == first["rows"]  # seconds too, of the run that took them
+    assert times == {name: (out / name / "transfer.json").stat().st_mtime_ns for name in times}
+    methods = [{"name": "clear", "method": "clear"}, {"name": "wet", "method": "wet", "seed": 5}]
+    assert transfers(tmp_path, settings(methods=methods), "--json", numbers) == 0
+    assert json.loads(numbers.read_text())["kept"] == ["clear"]
+    shutil.rmtree(out / "clear")  # as after a kill: a folder stands whole or not at all
+    assert transfers(tmp_path, settings(methods=methods), "--json", numbers) == 0
+    assert json.loads(numbers.read_text())["kept"] == ["wet"]
+
+
+def test_pictures_from_elsewhere_are_compared_as_far_as_there_are_any(tmp_path, caplog):
+    assert transfers(tmp_path, settings(), "--only", "wet") == 0
+    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    assert not (out / "clear").exists()
+    shutil.copytree(out / "wet" / "clear", elsewhere)
+    sorted(elsewhere.iterdir())[0].unlink()
+    Image.new("RGB", (64, 43)).save(elsewhere / "more.png")
+    methods = [*settings()["methods"], {"name": "other", "method": "images", "images": str(elsewhere)}]
+    told = settings(methods=methods, views={"count": 5, "width_px": 64})
+    shutil.rmtree(elsewhere)
+    assert transfers(tmp_path, settings(views=told["views"]), "--only", "clear") == 0
+    shutil.copytree(out / "clear" / "clear", elsewhere)
+    sorted(elsewhere.iterdir())[0].unlink()
+    assert transfers(tmp_path, told) == 0
+    clear, _, other = json.loads((out / "table.json").read_text())["rows"]
+    assert (clear["fake_pictures"], other["fake_pictures"]) == (5, 4)
+    assert 0 < other["pairs"] < clear["pairs"]
+    assert "1 views have no picture" in caplog.text
+
+
+def test_test_pictures_of_a_training_are_compared_without_neighbours(tmp_path, files):
+    clear = write_pictures(tmp_path / "sunny", 8, 3)
+    pictures = {"clear": [{"path": str(clear)}], "rainy": [{"path": str(files / "real")}], "test_share": 0.7}
+    told = settings(pictures=pictures)
+    del told["source"], told["real"]
+    assert transfers(tmp_path, told) == 0
+    row = json.loads((tmp_path / "out" / "table.json").read_text())["rows"][0]
+    assert (row["fake_pictures"], row["real_pictures"]) == (6, 4)
+    assert (row["pairs"], row["ratio"]) == (0, None)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"sources": "street"}, "unknown field `sources`"),
+        ({"source": "nowhere"}, "nowhere: no such file or folder"),
+        ({"real": []}, "expected folders of real rainy pictures - at `$.real`"),
+        ({"real": ["missing"]}, "missing"),
+        ({"source": None}, "either source or pictures"),
+        ({"views": {"count": 2, "width_px": 64}}, "2 pictures; a distribution takes at least 4"),
+        ({"extractor": "eyes"}, "extractor 'eyes': expected one of inception"),
+        ({"methods": [{"name": "a", "method": "dry"}]}, "no method 'dry', only clear, wet"),
+        ({"methods": [{"name": "a", "method": "wet"}, {"name": "A", "method": "wet"}]}, "'A' is there twice"),
+        ({"methods": [{"name": "../a", "method": "wet"}]}, "$.methods[0].name"),
+        ({"methods": [{"name": "a", "method": "images"}]}, "method 'a': needs images"),
+        ({"methods": [{"name": "a", "method": "images", "images": "no"}]}, "method 'a': images no: no such file"),
+        ({"methods": [{"name": "a", "method": "wet"}, {"name": "b", "method": "cyclegan-turbo"}]},
+         "method 'b': no transfer weights at"),
+    ],
+)  # fmt: skip
+def test_bad_input_ends_in_one_line_before_anything_starts(tmp_path, capsys, changes, expected):
+    pytest.importorskip("torch")
+    told = {key: value for key, value in (settings() | changes).items() if value is not None}
+    assert transfers(tmp_path, told) == BAD_INPUT
+    said = capsys.readouterr().err
+    assert expected in said
+    assert len(said.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_name_is_told(tmp_path, capsys):
+    assert transfers(tmp_path, settings(), "--only", "wet,dry") == BAD_INPUT
+    assert "no method 'dry', only clear, wet" in capsys.readouterr().err
