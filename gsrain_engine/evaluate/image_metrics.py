@@ -33,8 +33,9 @@ def check_pair(first: tuple[int, ...], second: tuple[int, ...], mask: tuple[int,
 
 
 def psnr(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
-    """Peak signal-to-noise ratio in dB of values of 0..1, over the pixels of the mask; infinite for equal pictures.
+    """Peak signal-to-noise ratio, 10 log10(1 / mean squared difference) in dB, of values of 0..1.
 
+    From 0 (black against white) to infinity (equal); higher is better. Over the pixels of the mask and all channels.
     Raises ValueError for other shapes and for a mask without a pixel.
     """
     check_pair(rendered.shape, truth.shape, None if mask is None else mask.shape)
@@ -47,7 +48,10 @@ def psnr(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
 
 
 def ssim(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
-    """Structural similarity of values of 0..1: the mean of `ssim_map` over its pixels, those of the mask."""
+    """Structural similarity of values of 0..1: the mean of `ssim_map` over its pixels, those of the mask.
+
+    Wang et al. 2004, eq. 13; without a unit, from -1 to 1 (equal); higher is better.
+    """
     similarity = ssim_map(rendered, truth, mask)
     if mask is None:
         return float(similarity.mean())

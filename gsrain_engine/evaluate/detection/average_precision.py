@@ -49,6 +49,8 @@ def average_precision(
 ) -> AveragePrecision:
     """Average precision over pictures: labelled objects and detections of each, in the same order.
 
+    The area below precision over recall, at 101 recalls, mean over classes; mAP50 with matches from an IoU of 0.5 on,
+    mAP the mean over 0.50, 0.55, ... 0.95 (Lin et al. 2014 and COCO's own program). 0 to 1, higher is better.
     Detections of classes that nothing is labelled with do not count, neither for nor against; nor do those that lie
     in `ignored` objects of their class, which nobody has to find (COCO's crowds). Raises ValueError where the numbers
     of pictures differ, ModuleNotFoundError with what to install where pycocotools is missing.

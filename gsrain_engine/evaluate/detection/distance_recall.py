@@ -47,6 +47,7 @@ def recall_by_distance(
 ) -> tuple[DistanceRecall, ...]:
     """Recall between neighbouring `edges_m` (the nearer one belongs to a bin, the farther does not).
 
+    The share of labelled objects that were found, 0 to 1, higher is better; with Wilson's interval (1927).
     An object is found where the confidence of its match (`Match.confidence`, 0 where missed) is at least
     `least_confidence`. Objects outside the edges do not count. Raises ValueError for edges that do not rise.
     """

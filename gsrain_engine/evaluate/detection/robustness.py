@@ -19,6 +19,8 @@ class Robustness:
 def robustness(clear: float, rainy: Sequence[float]) -> Robustness:
     """Compare one measure of performance without rain with its values in rain, one each intensity: mPC and rPC.
 
+    mPC is the mean in rain, in the measure's own unit; rPC is mPC over the value without rain: 1 where rain costs
+    nothing, 0 where nothing is left (Michaelis et al. 2019, eq. 1 and 2).
     Intensities count alike, as severities do there. Raises ValueError without an intensity.
     """
     if not rainy:
