@@ -56,7 +56,7 @@ def warp_error(view: Image, other: Image, mask: Mask, perceived: Perceived | Non
     """Compare a view with another one, warped onto it, over the pixels of a mask; raises ValueError for none.
 
     Root mean squared difference in display values of 0..1, over all channels: 0 (the views agree) to 1, lower is
-    better. The warping error of video work (Lai et al. 2018, eq. 11, without its square), by depth instead of flow.
+    better. The warping error of video work (Lai et al. 2018), as a root and by depth instead of flow.
     """
     if not mask.any():
         raise ValueError("the mask leaves no pixel to compare")
