@@ -20,6 +20,7 @@ from gsrain_engine.evaluate.lidar.turns import Turn, capture_turns, scene_turns
 
 from .arguments import write_numbers
 from .lidar_numbers import lidar_report, print_lidar, write_lidar_table
+from .lidar_page import write_lidar_page
 from .outputs import check_writable
 from .progress import progress_bar
 from .sources import names_scene
@@ -96,9 +97,10 @@ def lidar(
     write_figure(output / "lidar.png", shown, by_intensity)
     report = lidar_report(by_intensity, shown.turn.sensor, source=source, answer=answer, wet_road=wet_road)
     write_lidar_table(output / "lidar.csv", report["rows"])
+    write_lidar_page(output / "report.html", output / "lidar.png", by_intensity, report)
     console = Console(file=sys.stderr if json == _SCREEN else sys.stdout, width=_COLUMNS, highlight=False)
     print_lidar(by_intensity, shown.turn.sensor, console)
-    what = "lidar.png, lidar.csv, sweeps/" if write_sweeps else "lidar.png, lidar.csv"
+    what = "lidar.png, lidar.csv, report.html" + (", sweeps/" if write_sweeps else "")
     console.print(f"wrote {output}: {what}", soft_wrap=True)
     if json == _SCREEN:
         print(json_text.dumps(report, indent=1))

@@ -52,6 +52,9 @@ def test_a_scene_is_scanned_and_rained_on(scene, tmp_path, capsys):
         assert len(sweep["points_m"]) == row["kept"] + row["false"]
         assert sweep["is_false"].sum() == row["false"]
     assert (out / "lidar.png").read_bytes().startswith(b"\x89PNG")
+    page = (out / "report.html").read_text()
+    kept = 100 * sum(row["kept"] for row in heavy) / sum(row["clear"] for row in heavy)
+    assert "four rings" in page and f">{kept:.2f}<" in page
     assert "kept" in capsys.readouterr().out
 
 
