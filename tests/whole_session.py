@@ -164,8 +164,8 @@ def first(folder, plant):
         person.ctx.item_input_value("//Display/##autosave_s", 5.0)
         person.click("//Rain/12.0")
         changed = time.monotonic()
-        autosaves = folder / ".project.autosave"
-        person.until(lambda: time.monotonic() > changed + 30 or any(autosaves.glob("**/scene.json")), 10**6)
+        kept = folder / ".project.autosave" / "scene" / "scene.json"
+        person.until(lambda: time.monotonic() > changed + 30 or kept.exists(), 10**6)
         person.say("autosaved", time.monotonic() - changed)
         person.say("kill me")
         person.until(lambda: False, 10**9)
