@@ -54,38 +54,38 @@ gsrain transfer SCENE -o no-attention --method cyclegan-turbo --weights FILE --n
 gsrain evaluate consistency full no-normals no-attention --sheet ablations.png
 """
 evaluations = App(name="evaluate", help="Compare what is made with what cameras see.")
-evaluations.command("app.commands.evaluate:streaks", name="streaks", help="Rain streaks: real ones, and ours.")
+evaluations.command("app.commands.evaluate.streaks:streaks", name="streaks", help="Rain streaks: real ones, and ours.")
 evaluations.command(
-    "app.commands.consistency:consistency",
+    "app.commands.evaluate.consistency:consistency",
     name="consistency",
     help=_CONSISTENCY,
 )
 evaluations.command(
-    "app.commands.evaluate_fid:fid", name="fid", help="FID and KID of pictures to real ones, with how sure they are."
+    "app.commands.evaluate.fid:fid", name="fid", help="FID and KID of pictures to real ones, with how sure they are."
 )
 evaluations.command(
-    "app.commands.evaluate_transfers:transfers",
+    "app.commands.evaluate.transfers:transfers",
     name="transfers",
     help="Compare transfers with each other, as the paper does: table and figure of a YAML file, resumable.",
 )
 evaluations.command(
-    "app.commands.evaluate_images:images", name="images", help="PSNR, SSIM and LPIPS of pictures of the same names."
+    "app.commands.evaluate.images:images", name="images", help="PSNR, SSIM and LPIPS of pictures of the same names."
 )
 evaluations.command(
-    "app.commands.evaluate_weights:lpips_weights", name="lpips-weights", help="Convert LPIPS weights to plain arrays."
+    "app.commands.evaluate.weights:lpips_weights", name="lpips-weights", help="Convert LPIPS weights to plain arrays."
 )
 evaluations.command(
-    "app.commands.evaluate_weights:inception_weights",
+    "app.commands.evaluate.weights:inception_weights",
     name="inception-weights",
     help="Convert the Inception weights of FID to plain arrays.",
 )
 evaluations.command(
-    "app.commands.evaluate_detection:detection",
+    "app.commands.evaluate.detection:detection",
     name="detection",
     help="What rain does to object detectors: confidence, boxes, classes and mAP by intensity.",
 )
 evaluations.command(
-    "app.commands.evaluate_lidar:lidar", name="lidar", help="A lidar in rain: returns kept, lost and made up, by range."
+    "app.commands.evaluate.lidar:lidar", name="lidar", help="A lidar in rain: returns kept, lost and made up, by range."
 )
 app.command(evaluations)
 

@@ -13,7 +13,6 @@ import platformdirs
 from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import OVERCAST, Rainfall
-from gsrain_engine.rain.roofs import Roofs, roofs_of
 from gsrain_engine.rain.saved_rain import rain_of, weather_of
 from gsrain_engine.rain.weather import WITHOUT_CHANGE, Weather
 from gsrain_engine.render.frame import Color
@@ -37,6 +36,7 @@ from .jobs.scene_job import SceneJob, SceneTask
 from .jobs.transfer_training import TransferTraining
 from .log import LogLines, told
 from .picture.interaction_budget import EXACT, Detail, InteractionBudget
+from .picture.roof_search import RoofSearch
 from .picture.screenshot_name import new_screenshot
 from .picture.side import Side
 from .picture.sky_pick import SkyPick
@@ -114,7 +114,7 @@ class Session(EditedDocument):
         self._is_closed = False
         self.is_leaving = False
         """Whether the program shall end now: a person wants it, and has said what becomes of unsaved changes."""
-        self._roofs: tuple[Scene, Future[Roofs | None]] | None = None
+        self._roofs = RoofSearch(self._files)
         self.rainfall = Rainfall.start(self.rain)
         self._other_rainfall = self.rainfall
         self._scene_of_sky = scene
@@ -171,14 +171,14 @@ class Session(EditedDocument):
             return self.files.busy
         if self.staged is not None and self.staged.is_opened:
             return f"Uploading {self.staged.label}"
-        if self.rain.roofs and not self._roofs_are_found:
+        if self.rain.roofs and not self._roofs.knows(self.scene):
             return "Finding roofs"
         return "Preparing the picture; once after an update this takes up to a minute" if self.is_compiling else None
 
     @property
     def pending_files(self) -> list[Future[Any]]:
         """Reading, writing and finding roofs, to wait for where there are no frames to wait with."""
-        return [*self.files.pending, *([self._roofs[1]] if self._roofs is not None else [])]
+        return [*self.files.pending, *self._roofs.pending]
 
     @property
     def is_working(self) -> bool:
@@ -263,9 +263,8 @@ class Session(EditedDocument):
         self.following.ride(self.scene, self.clock.time_s, self.navigation)
         self.files.poll()
         self._preferences.poll()
-        waits = self._roofs is not None and not self._roofs[1].done()  # one search after the other
-        if self.rain.roofs and not waits and (self._roofs is None or self._roofs[0].matter != self.scene.matter):
-            self._roofs = self.scene, self._files.submit(roofs_of, self.scene)
+        if self.rain.roofs:
+            self._roofs.look_at(self.scene)
         self.lab.poll()
         self.captures.poll(self)
         for job in self.running_jobs:
@@ -360,15 +359,9 @@ class Session(EditedDocument):
         logger.removeHandler(self.log)
 
     @property
-    def _roofs_are_found(self) -> bool:
-        if self._roofs is None or not self._roofs[1].done():
-            return False
-        return self._roofs[0].matter == self.scene.matter
-
-    @property
     def _drawn_rainfall(self) -> Rainfall:
         """The rain without roofs until they are found: a frame that looked for them would take seconds."""
-        if not self.rain.roofs or (self._roofs_are_found and self._shown_preview is None):
+        if not self.rain.roofs or (self._roofs.knows(self.scene) and self._shown_preview is None):
             return self.rainfall
         return replace(self.rainfall, rain=msgspec.structs.replace(self.rain, roofs=False))
 

@@ -18,11 +18,6 @@ SKIP_START = 1e-5
 """Every weight of a skip convolution before training (Parmar et al. 2024): as good as no skip."""
 
 
-def skip_names(vae: Autoencoder) -> tuple[str, ...]:
-    """Names of the skip convolutions within the autoencoder, from the deepest to the finest."""
-    return tuple(f"decoder.skip_conv_{i + 1}" for i in range(len(vae.config.block_out_channels)))
-
-
 def add_skips(vae: Autoencoder) -> None:
     """Add the 1x1 convolutions that bring what each down block takes to the up block of the same size."""
     channels = list(vae.config.block_out_channels)

@@ -1,22 +1,11 @@
 """KID: the kernel distance of two sets of features, without the bias that the Frechet distance has of few pictures."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 Features = Float[np.ndarray, "_ d"]
 
 _BLOCK_ROWS = 512
-
-
-@dataclass(frozen=True, slots=True)
-class SubsetDistances:
-    """KID as its paper gives it: over random subsets."""
-
-    mean: float
-    deviation: float
-    """Of single subsets: how far one differs from another, not how sure the mean is."""
 
 
 def kernel_distance(real: Features, fake: Features, shared: Bool[np.ndarray, "_ _"] | None = None) -> float:
@@ -47,21 +36,6 @@ def weighted_distances(
         raise ValueError(f"{len(real)} real and {len(fake)} fake pictures: KID takes at least two of each")
     within = _within(real, real_weights) + _within(fake, fake_weights)
     return within - 2 * _across(real, fake, real_weights, fake_weights, shared)
-
-
-def subset_distances(
-    real: Features, fake: Features, subsets: int = 100, size: int = 1000, seed: int = 0
-) -> SubsetDistances:
-    """Return the mean of `kernel_distance` over random subsets of each set, as most programs report KID.
-
-    `size` pictures of each, without repeats; all where there are fewer. The mean estimates what `kernel_distance` of
-    all pictures does, with more noise: it is here to be compared with numbers of others.
-    """
-    random = np.random.default_rng(seed)
-    values = [
-        kernel_distance(*(each[random.permutation(len(each))[:size]] for each in (real, fake))) for _ in range(subsets)
-    ]
-    return SubsetDistances(float(np.mean(values)), float(np.std(values)))
 
 
 def _kernel(rows: Features, columns: Features) -> Float64[np.ndarray, "_ _"]:

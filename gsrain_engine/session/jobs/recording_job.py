@@ -2,9 +2,7 @@
 
 import logging
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
-from typing import TYPE_CHECKING
+from concurrent.futures import ThreadPoolExecutor
 
 from gsrain_engine.render.recording import Recording
 from gsrain_engine.scene.formats.known_files import KnownFiles
@@ -12,19 +10,15 @@ from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
 from ..log import told
-from .job_folder import JobFolder
+from .copied_scene_job import CopiedSceneJob
 from .recorded_project import record_in_worker
-from .scene_copy import write_copy
-from .worker import Job, JobState
-
-if TYPE_CHECKING:
-    from ..session import Session
+from .worker import Job
 
 logger = logging.getLogger("gsrain")
 
 
-class RecordingJob:
-    """One recording, a `BackgroundJob`."""
+class RecordingJob(CopiedSceneJob):
+    """One recording. Its worker sees the numbers that the command line sees."""
 
     def __init__(
         self,
@@ -34,58 +28,21 @@ class RecordingJob:
         known: KnownFiles,
         notes: Sequence[str] = (),
     ) -> None:
-        """Start on a document as it goes into files; `files` is the thread where reading and writing happens.
-
-        What `known` says to be in a file already is taken from there, so that the worker sees the numbers that the
-        command line sees. `notes` go into the log at the end.
-        """
-        self.title = f"Record {recording.path.name}"
-        self.state: JobState = "running"
-        self.progress = Progress(0.0, "Saving the scene for the worker")
-        self.error: str | None = None
-        self.details: str | None = None
-        self._recording, self._notes = recording, tuple(notes)
-        self._folder = JobFolder(files)
-        self._saving: Future[Path] | None = self._folder.do(lambda folder: write_copy(scene, folder, known))
-        self._worker: Job | None = None
-
-    def poll(self, session: "Session") -> None:
-        """Go on to the next stage when the present one is through; never waits."""
-        if self.state != "running":
-            return
-        try:
-            if self._saving is not None and self._saving.done():
-                saving, self._saving = self._saving, None
-                self._worker = Job(self.title, record_in_worker, saving.result(), self._recording)
-            if self._worker is not None:
-                self._follow(self._worker)
-        except Exception as error:  # whatever a disk can do: the window lives on
-            self.error = told(f"{self._recording.output} can't be recorded", error)
-            self._end("failed")
+        """Start; `notes` go into the log at the end."""
+        title = f"Record {recording.path.name}"
+        super().__init__(title, scene, known, files, lambda copy: Job(title, record_in_worker, copy, recording))
+        self._output, self._notes = recording.output, tuple(notes)
 
     def cancel(self) -> None:
         """Stop; what has been recorded so far can be played."""
         if self.state == "running":
-            logger.info("Stopped recording %s: what there is of it can be played", self._recording.output)
-            self._end("cancelled")
+            logger.info("Stopped recording %s: what there is of it can be played", self._output)
+        super().cancel()
 
-    def _follow(self, worker: Job) -> None:
-        worker.poll()
-        self.progress = worker.progress
-        if worker.state == "failed":
-            self.error, self.details = worker.error, worker.details
-            self._end("failed")
-        elif worker.state == "finished":
-            logger.info("Recorded %s", self._recording.output)
-            for note in self._notes:
-                logger.info("%s", note)
-            self._end("finished")
+    def _said(self, error: Exception) -> str:
+        return told(f"{self._output} can't be recorded", error)
 
-    def _end(self, state: JobState) -> None:
-        self.state = state
-        if self._worker is not None:
-            self._worker.cancel()
-        if self._saving is not None:
-            self._saving.cancel()
-        self._folder.remove(self._worker)
-        self._worker = self._saving = None
+    def _take(self, last: Progress) -> None:
+        logger.info("Recorded %s", self._output)
+        for note in self._notes:
+            logger.info("%s", note)

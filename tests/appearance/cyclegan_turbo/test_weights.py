@@ -124,14 +124,19 @@ def test_files_that_are_no_weights(tmp_path: Path) -> None:
 
 
 class _Runs:
+    """Makes a file when it is unpickled."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return Path.touch, (Path("/tmp/gsrain-should-not-exist"),)
+        return Path.touch, (self.file,)
 
 
 def test_code_in_a_file_does_not_run(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="not a readable file of torch weights"):
-        open_weights(_saved({"rank_unet": _Runs()}, tmp_path / "evil.pkl"))
-    assert not Path("/tmp/gsrain-should-not-exist").exists()
+        open_weights(_saved({"rank_unet": _Runs(tmp_path / "made")}, tmp_path / "evil.pkl"))
+    assert not (tmp_path / "made").exists()
 
 
 def test_weatheredit_has_several_weathers_and_a_fourth_channel_of_its_own(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.evaluate.distribution import kernel_distance as module
-from gsrain_engine.evaluate.distribution.kernel_distance import kernel_distance, subset_distances, weighted_distances
+from gsrain_engine.evaluate.distribution.kernel_distance import kernel_distance, weighted_distances
 
 
 def _set(count, features, seed, shift=0.0, scale=1.0):
@@ -67,16 +67,6 @@ def test_weights_count_pictures_and_never_pair_one_with_itself():
 def test_one_picture_is_too_few():
     with pytest.raises(ValueError, match="1 real and 5 fake pictures: KID takes at least two"):
         kernel_distance(_set(1, 3, 0), _set(5, 3, 1))
-
-
-def test_subsets_have_the_same_mean_and_are_seeded():
-    real, fake = _set(80, 8, 0), _set(70, 8, 1, 0.3)
-    subsets = subset_distances(real, fake, 300, 30, seed=1)
-    assert abs(subsets.mean - kernel_distance(real, fake)) < 4 * subsets.deviation / np.sqrt(300)
-    assert subset_distances(real, fake, 20, 30, seed=1) == subset_distances(real, fake, 20, 30, seed=1)
-    assert subset_distances(real, fake, 20, 30, seed=1) != subset_distances(real, fake, 20, 30, seed=2)
-    whole = subset_distances(real, fake, 2, 1000)
-    assert whole.mean == pytest.approx(kernel_distance(real, fake), rel=1e-12)
 
 
 @pytest.mark.filterwarnings("ignore:Metric `Kernel Inception Distance` will save:UserWarning")

@@ -31,8 +31,8 @@ def follow(session, until=lambda job: False):
     while job.state == "running" and not until(job):
         if job._worker is not None:
             wait_for([job._worker.waitable], timeout=60)
-        elif job._saving is not None:
-            job._saving.exception(timeout=60)
+        elif job._copying is not None:
+            job._copying.exception(timeout=60)
         session.update(0.01)
     return job
 

@@ -14,11 +14,11 @@ from gsrain_engine.evaluate.consistency.folders import ComparedViews, open_compa
 from gsrain_engine.evaluate.consistency.pairs import FILM_SHARE, PairAgreement, agreements, warped_pair
 from gsrain_engine.evaluate.consistency.sheet import ShownPair, consistency_sheet
 
-from .arguments import write_numbers
+from ..arguments import write_numbers
+from ..outputs import check_writable
+from ..progress import progress_bar
 from .consistency_numbers import print_agreements, report_of
-from .outputs import check_writable
 from .perceived import perceived_distance
-from .progress import progress_bar
 
 _SCREEN = Path("-")
 _COLUMNS = 150

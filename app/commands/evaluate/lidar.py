@@ -18,12 +18,12 @@ from gsrain_engine.evaluate.lidar.sweep_file import write_sweep
 from gsrain_engine.evaluate.lidar.sweep_in_rain import Answer
 from gsrain_engine.evaluate.lidar.turns import Turn, capture_turns, scene_turns
 
-from .arguments import write_numbers
+from ..arguments import write_numbers
+from ..outputs import check_writable
+from ..progress import progress_bar
+from ..sources import names_scene
 from .lidar_numbers import lidar_report, print_lidar, write_lidar_table
 from .lidar_page import write_lidar_page
-from .outputs import check_writable
-from .progress import progress_bar
-from .sources import names_scene
 
 _SCREEN = Path("-")
 _COLUMNS = 130

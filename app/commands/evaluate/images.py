@@ -22,10 +22,10 @@ from gsrain_engine.evaluate.mean_interval import MeanInterval, mean_interval
 from gsrain_engine.evaluate.report.comparison import Comparison, Distance
 from gsrain_engine.evaluate.report.run_report import RunReport, write_report
 
-from .arguments import write_numbers
-from .outputs import check_writable
+from ..arguments import write_numbers
+from ..outputs import check_writable
+from ..progress import progress_bar
 from .perceived import perceived_distance
-from .progress import progress_bar
 
 _SCREEN = Path("-")
 _COLUMNS = 120

@@ -28,8 +28,8 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.files.open_scene import open_to_draw
 
-from .progress import followed
-from .sources import names_scene
+from ..progress import followed
+from ..sources import names_scene
 
 _SLOW_FPS = 2.0
 """Of videos whose frames lie far apart."""

@@ -27,10 +27,10 @@ from gsrain_engine.scene.atomic_files import whole_file
 from gsrain_engine.session.jobs.torch_extra import require_torch
 from gsrain_engine.shipped_configs import shipped_names
 
-from .arguments import write_numbers
-from .outputs import check_writable
-from .progress import followed
-from .sources import names_scene
+from ..arguments import write_numbers
+from ..outputs import check_writable
+from ..progress import followed
+from ..sources import names_scene
 from .transfers_page import print_transfers, transfers_page
 
 _SCREEN = Path("-")
@@ -95,7 +95,7 @@ def _opened(told: Comparison) -> tuple[ComparedSource, Capture]:
     real = real_pictures(told.real, told.width_px)
     choice = msgspec.structs.replace(told.views, width_px=told.width_px)
     if names_scene(told.source):
-        from .transferred_views import source_views  # kernels take a second to load
+        from ..transferred_views import source_views  # kernels take a second to load
 
         opened = source_views(told.source, choice, told.capture)
         stamps = "-".join(stamp(Path(each)) for each in (told.source, told.capture) if each is not None)

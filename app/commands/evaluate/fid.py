@@ -21,9 +21,9 @@ from gsrain_engine.evaluate.distribution.extractors import EXTRACTORS, open_extr
 from gsrain_engine.evaluate.distribution.feature_cache import FeatureCache
 from gsrain_engine.evaluate.report.run_report import ReportTable, RunReport, write_report
 
-from .arguments import write_numbers
-from .outputs import check_writable
-from .progress import progress_bar
+from ..arguments import write_numbers
+from ..outputs import check_writable
+from ..progress import progress_bar
 
 _SCREEN = Path("-")
 _COLUMNS = 200

@@ -12,12 +12,12 @@ from rich.console import Console
 from gsrain_engine.evaluate.detection.detector import Detector, open_detector
 from gsrain_engine.render.backends import Backend, open_renderer
 
-from .arguments import JsonFile, write_numbers
+from ..arguments import JsonFile, write_numbers
+from ..outputs import check_writable
+from ..progress import progress_bar
 from .detection_numbers import detection_numbers, print_scores
 from .detection_outputs import DetectionVideo, write_outputs
 from .detection_source import DetectionSource, base_rain, opened_source
-from .outputs import check_writable
-from .progress import progress_bar
 
 _MOST_SEEDS, _MOST_FRAMES = 1000, 10_000
 _COLUMNS = 150

@@ -20,8 +20,8 @@ from gsrain_engine.evaluate.real_rain import Comparison, Measured, above_horizon
 from gsrain_engine.evaluate.streak_statistics import ANGLE_EDGES_DEG, LENGTH_EDGES_PX
 from gsrain_engine.rain.rain import Rain
 
-from .arguments import write_numbers
-from .progress import progress_bar
+from ..arguments import write_numbers
+from ..progress import progress_bar
 
 _LEAST_FRAMES, _MOST_FRAMES = 5, 200
 _SCREEN = Path("-")

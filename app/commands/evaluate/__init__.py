@@ -1,0 +1,1 @@
+"""`gsrain evaluate`: one module a command, and what each of them shows and writes."""
