@@ -15,7 +15,7 @@ from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.reconstruct.training.settings import load_settings
 from gsrain_engine.render.context import open_context
 from gsrain_engine.render.machine import machine
-from gsrain_engine.session.files.open_scene import open_scene
+from gsrain_engine.scene.open_scene import open_scene
 from gsrain_engine.session.jobs.reconstruction import Reconstruction
 from gsrain_engine.session.session import Session
 

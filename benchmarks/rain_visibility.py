@@ -16,8 +16,8 @@ from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
 from gsrain_engine.render.scene_view import rain_in
 from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.scene.open_scene import cached_street
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.files.open_scene import cached_street
 from gsrain_engine.session.view.home_camera import default_path
 
 SEEDS, INTENSITIES, SIZE = 5, ("1.2", "8.5", "12.0"), (960, 640)

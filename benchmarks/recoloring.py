@@ -75,7 +75,7 @@ def street_views(scene: Scene, times_s: list[float], *, mesh: bool = False) -> I
 
 def street(*, mesh: bool = False) -> tuple[Scene, list[TargetView], list[TargetView]]:
     """Return the street without cars that move, thirty views of it, and nine from between those."""
-    from gsrain_engine.session.files.open_scene import cached_street
+    from gsrain_engine.scene.open_scene import cached_street
 
     scene = replace(cached_street(), actors=())
     times = np.linspace(0.5, 11.5, MOMENTS)

@@ -21,8 +21,8 @@ from gsrain_engine.reconstruct.training.task import ReconstructionTask
 from gsrain_engine.reconstruct.training.training import reconstruct
 from gsrain_engine.render.machine import machine
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.open_scene import cached_street
 from gsrain_engine.scene.rig import rig_camera
-from gsrain_engine.session.files.open_scene import cached_street
 
 WIDTH, HEIGHT = 480, 320
 VIEWS = 30

@@ -23,9 +23,9 @@ from gsrain_engine.render.context import NoOpenGLError
 from gsrain_engine.render.machine import machine
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.scene.open_scene import open_scene
 from gsrain_engine.scene.random_scene import is_random_scene, random_scene, random_scene_camera
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.files.open_scene import open_scene
 from gsrain_engine.session.view.home_camera import default_path
 
 from .arguments import parse_size, write_numbers

@@ -7,8 +7,8 @@ from cyclopts import Parameter
 
 from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.formats.scene_files import names_scene_folder
+from gsrain_engine.scene.open_scene import open_scene
 from gsrain_engine.scene.wet_colors import with_wetness_baked
-from gsrain_engine.session.files.open_scene import open_scene
 
 from .marked import marked, marked_text
 

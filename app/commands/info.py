@@ -11,8 +11,8 @@ from rich.table import Table
 from gsrain_engine.datasets.open_capture import capture_format
 from gsrain_engine.scene.bounds import bounds
 from gsrain_engine.scene.members import Actor, Layer
+from gsrain_engine.scene.open_scene import open_scene
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.files.open_scene import open_scene
 
 from .arguments import JsonFile, write_numbers
 from .capture_info import capture_info

@@ -13,7 +13,7 @@ from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.evaluate.report.run_report import write_report
 from gsrain_engine.reconstruct.recoloring.settings import RecolorSettings
 from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.session.files.open_scene import open_scene
+from gsrain_engine.scene.open_scene import open_scene
 from gsrain_engine.session.jobs.torch_extra import require_torch
 
 from .arguments import JsonFile, write_numbers

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from gsrain_engine.scene.formats.gaussian_files import format_of
-from gsrain_engine.session.files.open_scene import is_built_in, scene_folder_of
+from gsrain_engine.scene.open_scene import is_built_in, scene_folder_of
 
 
 def names_scene(name: str) -> bool:

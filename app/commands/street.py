@@ -11,9 +11,9 @@ from cyclopts import Parameter
 from gsrain_engine.datasets.capture import View
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.open_scene import cached_street
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.files.open_scene import cached_street
 
 from .progress import progress_bar
 

@@ -11,7 +11,7 @@ from gsrain_engine.appearance.clear_view import ClearView
 from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras, chosen_views
 from gsrain_engine.appearance.wet.surroundings import Surroundings
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.session.files.open_scene import open_scene
+from gsrain_engine.scene.open_scene import open_scene
 
 from .sources import names_scene
 

@@ -8,9 +8,9 @@ import pytest
 from boxy_scene import boxy_scene
 from gsrain_engine.scene.coco_classes import COCO_CATEGORIES
 from gsrain_engine.scene.objects import scene_objects
+from gsrain_engine.scene.open_scene import cached_street
 from gsrain_engine.scene.street.layout import plan_street
 from gsrain_engine.scene.street.parameters import StreetParameters
-from gsrain_engine.session.files.open_scene import cached_street
 
 
 @pytest.fixture(scope="module")

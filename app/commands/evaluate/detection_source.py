@@ -25,8 +25,8 @@ from gsrain_engine.render.mounted_camera import mounted_cameras
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sky_color import Sky, sky_color
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.open_scene import open_to_draw
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.files.open_scene import open_to_draw
 
 from ..progress import followed
 from ..sources import names_scene

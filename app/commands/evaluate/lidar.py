@@ -113,7 +113,7 @@ def _turns(
 ) -> tuple[int, Iterator[Turn]]:
     """How many turns there are, and the turns."""
     if names_scene(source):
-        from gsrain_engine.session.files.open_scene import open_scene
+        from gsrain_engine.scene.open_scene import open_scene
 
         scene = open_scene(source)
         if scene.ego is None or not len(scene.ego.times):

@@ -12,8 +12,10 @@ from .cars import CAR_FORMS, build_car, build_parked_cars, car_shadow
 from .daylight import Daylight
 from .furniture import build_furniture
 from .houses import build_houses
-from .layout import CarShape, StreetLayout, plan_street
+from .layout import StreetLayout, plan_street
 from .parameters import StreetParameters
+from .parked_vehicles import PARKED_LAYER
+from .parking import CarShape
 from .pavements import build_pavements
 from .quads import Quads
 from .rigs import SENSOR_HEIGHT_M, street_rigs
@@ -22,6 +24,7 @@ from .sky import build_sky
 from .splatting import gaussians_of
 from .surroundings import build_surroundings
 from .trees import build_trees
+from .trucks import build_parked_trucks
 
 LEAD_ID = "lead"
 _LEAD_SHAPE: CarShape = "saloon"
@@ -59,7 +62,7 @@ def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurface
         "pavements": build_pavements(layout),
         "houses": build_houses(layout),
         "trees": build_trees(layout, sun),
-        "parked cars": build_parked_cars(layout),
+        PARKED_LAYER: Quads.joined([build_parked_cars(layout), *build_parked_trucks(layout)]),
         "furniture": build_furniture(layout),
         "surroundings": build_surroundings(layout),
         "sky": build_sky(layout),

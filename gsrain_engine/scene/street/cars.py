@@ -8,12 +8,12 @@ from jaxtyping import Float64
 
 from .grids import graded_lines, patch
 from .labels import Label
-from .layout import CarShape, StreetLayout
+from .layout import StreetLayout
+from .parking import CarShape
 from .quads import Quads
+from .wheels import build_wheel
 
 _GLASS = (0.018, 0.02, 0.022)
-_TYRE = (0.018, 0.018, 0.019)
-_RIM = (0.36, 0.36, 0.37)
 _TRIM = (0.022, 0.022, 0.024)
 _PAINT_GLOSS, _GLASS_GLOSS = 0.17, 0.36
 _SMOOTH = 1.1
@@ -256,19 +256,8 @@ def _roof(rim: Float64[np.ndarray, "n 3"], form: CarForm, paint: Any) -> Quads:
 
 def _wheels(form: CarForm, fine: float) -> list[Quads]:
     sides = 20 if fine < 1.2 else 14
-    angle = np.linspace(0, 2 * np.pi, sides + 1)
     r = form.wheel_radius
-    radii = np.array([0.0, 0.06, 0.13, 0.205, 0.225, 0.275, 0.315, r])
-    radii = radii * r / 0.32
-    depth = np.array([0.035, 0.035, 0.03, 0.02, 0.0, 0.0, 0.012, 0.19])
-    ring = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
-    points = radii[None, :, None] * ring[:, None] - depth[None, :, None] * np.array([0, -1.0, 0])
-    spokes = (np.arange(sides) % 4 < 2)[:, None]
-    ringed = np.arange(len(radii) - 1)[None]
-    metal = np.where(ringed == 0, 0.9, np.where(spokes & (ringed < 3), 1.0, np.where(ringed == 3, 0.95, 0.16)))
-    albedo = np.where((ringed < 4)[..., None], metal[..., None] * np.asarray(_RIM), _TYRE)
-    albedo = np.broadcast_to(albedo, (sides, len(radii) - 1, 3)).reshape(-1, 3)
-    wheel = patch(points, albedo, Label.CAR, closed=True, sky_access=0.6, gloss=0.04)
+    wheel = build_wheel(r, sides)
     tread = wheel.placed((0, -0.5 * form.width + 0.035, r))
     mirrored = wheel.placed((0, 0, 0), 180.0).placed((0, 0.5 * form.width - 0.035, r))
     parts = [each.placed((axle, 0, 0)) for axle in form.wheels for each in (tread, mirrored)]

@@ -18,3 +18,4 @@ class Label(IntEnum):
     FURNITURE = 9
     TERRAIN = 10
     SKY = 11
+    TRUCK = 12

@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 from .parameters import StreetParameters
+from .parking import CROSSING_LENGTH_M, ParkedCar, ParkedTruck, beside_trucks, plan_cars, plan_trucks
 
 KERB_HEIGHT_M = 0.12
 HOUSE_DEPTH_M = 10.0
@@ -14,9 +15,7 @@ CROSS_ROAD_M = 8.0
 CROSS_PAVEMENT_M = 2.6
 CROSS_LENGTH_M = 36.0
 """How far the cross streets reach to each side of the axis."""
-CROSSING_LENGTH_M = 3.0
 
-CarShape = Literal["hatchback", "saloon", "estate", "van"]
 Wall = Literal["plaster", "brick", "stone"]
 
 _WALLS: tuple[tuple[Wall, tuple[float, float, float]], ...] = (
@@ -34,16 +33,6 @@ _WALLS: tuple[tuple[Wall, tuple[float, float, float]], ...] = (
 _ROOFS = ((0.26, 0.10, 0.065), (0.20, 0.085, 0.06), (0.10, 0.105, 0.12), (0.14, 0.12, 0.11), (0.29, 0.14, 0.09))
 _SIGNS = ((0.06, 0.13, 0.10), (0.22, 0.03, 0.03), (0.03, 0.06, 0.16), (0.05, 0.05, 0.055), (0.30, 0.20, 0.05))
 _DOORS = ((0.10, 0.045, 0.02), (0.02, 0.06, 0.045), (0.02, 0.035, 0.07), (0.13, 0.02, 0.02), (0.05, 0.05, 0.05))
-_PAINTS = (
-    (0.45, 0.45, 0.46),  # silver
-    (0.03, 0.03, 0.034),  # black
-    (0.62, 0.62, 0.61),  # white
-    (0.025, 0.05, 0.12),  # blue
-    (0.20, 0.014, 0.014),  # red
-    (0.13, 0.14, 0.15),  # graphite
-    (0.03, 0.07, 0.05),  # green
-    (0.36, 0.33, 0.27),  # sand
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,17 +84,6 @@ class Tree:
 
 
 @dataclass(frozen=True, slots=True)
-class ParkedCar:
-    """A car at the kerb; heading +x or -x."""
-
-    x: float
-    y: float
-    turn_deg: float
-    shape: CarShape
-    paint: tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
 class StreetLayout:
     """Everything that stands in the street."""
 
@@ -115,6 +93,7 @@ class StreetLayout:
     ends: tuple[House, ...]
     trees: tuple[Tree, ...]
     cars: tuple[ParkedCar, ...]
+    trucks: tuple[ParkedTruck, ...]
     lamps: tuple[tuple[float, float], ...]
     """Feet (x, y) of the street lamps."""
     crossings: tuple[float, ...]
@@ -127,13 +106,16 @@ def plan_street(parameters: StreetParameters) -> StreetLayout:
     crossings = tuple(float(x) for x in (34.0, 106.0) if x + 12.0 < p.end_x_m)
     left, right = (_row(p, side, np.random.default_rng([p.seed, 1, side])) for side in (0, 1))
     trees = _trees(p, crossings, np.random.default_rng([p.seed, 2]))
+    cars = plan_cars(p, crossings, np.random.default_rng([p.seed, 4]))
+    trucks = plan_trucks(p, crossings, trees, cars)
     return StreetLayout(
         parameters=p,
         left=left,
         right=right,
         ends=_ends(p, np.random.default_rng([p.seed, 3])),
         trees=trees,
-        cars=_cars(p, crossings, np.random.default_rng([p.seed, 4])),
+        cars=beside_trucks(cars, trucks),
+        trucks=trucks,
         lamps=tuple(
             (float(x), (p.kerb_y_m + 0.45) * (-1) ** k)
             for k, x in enumerate(np.arange(p.start_x_m + 9.5, p.end_x_m - 4, 22.0))
@@ -219,20 +201,3 @@ def _trees(p: StreetParameters, crossings: tuple[float, ...], rng: np.random.Gen
                      int(rng.integers(2**31)))
             )  # fmt: skip
     return tuple(trees)
-
-
-def _cars(p: StreetParameters, crossings: tuple[float, ...], rng: np.random.Generator) -> tuple[ParkedCar, ...]:
-    cars: list[ParkedCar] = []
-    shapes: tuple[CarShape, ...] = ("hatchback", "saloon", "estate", "hatchback", "van", "saloon")
-    for side in (1, -1):
-        for x in np.arange(p.start_x_m + 6, p.end_x_m - 5, 6.1):
-            draws = rng.uniform(size=4)
-            x = float(x) + 1.0 * (draws[0] - 0.5)
-            near_crossing = any(c - 6.5 < x < c + CROSSING_LENGTH_M + 6.5 for c in crossings)
-            if draws[1] > p.parked_share or near_crossing:
-                continue
-            y = side * (p.kerb_y_m - 0.5 * p.parking_width_m - 0.05 + 0.16 * (draws[2] - 0.5))
-            shape = shapes[int(rng.integers(len(shapes)))]
-            paint = _PAINTS[int(rng.integers(len(_PAINTS)))]
-            cars.append(ParkedCar(x, y, (180.0 if side > 0 else 0.0) + 1.6 * (draws[3] - 0.5), shape, paint))
-    return tuple(cars)

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gsrain_engine.scene.formats.known_files import KnownFiles
+from gsrain_engine.scene.open_scene import is_built_in, open_to_draw, scene_folder_of
 from gsrain_engine.scene.scene import Scene
 
 from .autosave import Autosaved
 from .disk_stamp import DiskStamp, stamp_of
-from .open_scene import is_built_in, open_to_draw, scene_folder_of
 
 
 @dataclass(frozen=True, eq=False)

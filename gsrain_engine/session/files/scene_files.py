@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.formats.known_files import KnownFiles
 from gsrain_engine.scene.formats.scene_files import names_scene_folder
+from gsrain_engine.scene.open_scene import is_built_in, scene_folder_of
 from gsrain_engine.scene.scene import Scene
 
 from ..edits.importing import import_scene
@@ -19,7 +20,6 @@ from ..question import Answer, Question, nothing
 from ..staged_scene import StagedScene
 from .autosave import Autosaved
 from .disk_stamp import DiskStamp, has_changed, stamp_of
-from .open_scene import is_built_in, scene_folder_of
 from .opened import Opened, read_kept, read_opened
 from .recent_files import add_recent_file, forget_recent_file, recent_files
 from .recovery import Recovery

@@ -11,6 +11,7 @@ from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.marks import UNMARKED
 from gsrain_engine.scene.mask import Mask
+from gsrain_engine.scene.open_scene import open_to_draw
 from gsrain_engine.scene.wet_colors import (
     blended_sh,
     with_wet_colors_of,
@@ -22,7 +23,6 @@ from gsrain_engine.session.edits.actors import turn_actor
 from gsrain_engine.session.edits.compacting import compact
 from gsrain_engine.session.edits.moving import move_member, move_selected, moving
 from gsrain_engine.session.edits.new_gaussians import with_gaussians_of
-from gsrain_engine.session.files.open_scene import open_to_draw
 
 from .edited_scene import assert_same, edited_scene, turned, with_selection, without
 from .edited_scene import seen as seen_together
