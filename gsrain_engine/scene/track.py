@@ -21,6 +21,13 @@ class Track:
     valid: Bool[np.ndarray, " t"]
     """Whether the object is in the scene from this sample to the next."""
 
+    @classmethod
+    def standing(cls, pose: Float64[np.ndarray, "4 4"]) -> "Track":
+        """Return the track of something that stays where it is; of a pose with scale, only place and turn."""
+        turn = pose[:3, :3] / np.cbrt(np.linalg.det(pose[:3, :3]))
+        quaternion = np.asarray(quaternions_from_matrices(turn[None]), np.float64)
+        return cls(np.zeros(1), pose[None, :3, 3].copy(), quaternion, np.ones(1, bool))
+
     def pose(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
         """Object to scene at a time, or None while the object is not there."""
         if not len(self.times):

@@ -1,0 +1,100 @@
+"""What the cameras of the ego vehicle see: the scene in its rain, in which the vehicle's own motion is felt."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.rainfall import Rainfall
+from gsrain_engine.render.labels import draw_labels
+from gsrain_engine.render.renderer import Renderer
+from gsrain_engine.render.scene_view import Shot, draw_shot
+from gsrain_engine.render.sky_color import Sky, sky_color
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.scene import RigCamera, Scene
+
+from ..agents.agent import Needs
+from ..agents.observation import CameraView
+from .semantics import semantic_ids
+
+
+class RigPictures:
+    """Draws for the cameras that an agent needs. One rain falls through a whole drive."""
+
+    def __init__(self, renderer: Renderer, rain: Rain, cameras: Sequence[RigCamera], needs: Needs) -> None:
+        """Draw with a renderer, which stays open for as long as this is used."""
+        self._renderer, self._cameras, self._needs = renderer, cameras, needs
+        self._rainfall = Rainfall.start(rain)
+        self._sky: Sky | None = None
+
+    def views(
+        self,
+        scene: Scene,
+        rig_to_world: Float64[np.ndarray, "4 4"],
+        velocity_m_s: Float64[np.ndarray, "3"],
+        yaw_rate_rad_s: float,
+        time_s: float,
+    ) -> dict[str, CameraView]:
+        """Draw a moment, at a time of the scene. `velocity_m_s` is the rig origin's, in the world."""
+        views: dict[str, CameraView] = {}
+        for mounted in self._cameras:
+            camera = placed_camera(mounted, rig_to_world)
+            if self._sky is None:  # taken once, so that all cameras and moments agree
+                self._sky = sky_color(self._renderer, scene, camera)
+            arm = camera.position - rig_to_world[:3, 3]
+            velocity = velocity_m_s + yaw_rate_rad_s * np.array([-arm[1], arm[0], 0.0])
+            views[mounted.name] = self._view(scene, Shot(camera, time_s, velocity))
+        return views
+
+    def _view(self, scene: Scene, shot: Shot) -> CameraView:
+        semantic = instances = None
+        if self._needs.semantic:
+            labels = draw_labels(self._renderer, scene, shot.camera, shot.time_s)
+            semantic = semantic_ids(scene)[labels]
+            layers = len(scene.layers)
+            instances = np.where(labels > layers, labels - layers, 0).astype(np.uint16)
+        sky = self._sky
+        assert sky is not None
+        color = sky.at(self._rainfall.wetness_at(shot.time_s))
+        draw_shot(self._renderer, scene, self._rainfall, color, shot, with_depth=self._needs.depth)
+        frame = self._renderer.read()
+        depth = None if frame.depth is None else frame.depth.copy()
+        return CameraView(frame.to_uint8(), shot.camera, depth, semantic, instances)
+
+
+def needed_cameras(cameras: Sequence[RigCamera], needs: Needs) -> tuple[RigCamera, ...]:
+    """Return the cameras that an agent needs, in the order of the rig.
+
+    Raises ValueError for a name that the rig does not have.
+    """
+    names = set(needs.cameras)
+    if "front" in names:
+        names = (names - {"front"}) | {max(cameras, key=lambda each: each.camera_to_ego[0, 2]).name}
+    if "all" in names:
+        names = {each.name for each in cameras}
+    missing = sorted(names - {each.name for each in cameras})
+    if missing:
+        known = ", ".join(each.name for each in cameras)
+        raise ValueError(f"the agent needs camera {missing[0]}; the rig has only {known}")
+    return tuple(each for each in cameras if each.name in names)
+
+
+def of_width(camera: RigCamera, width_px: int) -> RigCamera:
+    """Return a camera that shows the same in another size; the height is rounded to a whole, even number."""
+    scale = width_px / camera.width
+    height = 2 * round(camera.height * scale / 2)
+    return replace(
+        camera, width=width_px, height=height, fx=camera.fx * scale, fy=camera.fy * scale,
+        cx=camera.cx * scale, cy=camera.cy * scale,
+    )  # fmt: skip
+
+
+def placed_camera(mounted: RigCamera, rig_to_world: Float64[np.ndarray, "4 4"]) -> Camera:
+    """Return a rig's camera in the world, metres."""
+    world_to_camera = np.linalg.inv(rig_to_world @ mounted.camera_to_ego)
+    return Camera(
+        mounted.width, mounted.height, mounted.fx, mounted.fy, mounted.cx, mounted.cy, world_to_camera,
+        mounted.exposure_s,
+    )  # fmt: skip
