@@ -40,7 +40,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 $(VENV)/.installed-jobs: $(VENV)/.installed
 	$(RUN)/pip install --quiet --disable-pip-version-check --retries 0 --timeout 10 \
 		--extra-index-url https://download.pytorch.org/whl/cpu -c constraints.txt torch
-	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev,diffusion,evaluate,oracles,waymo]"
+	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev,diffusion,drive,evaluate,oracles,waymo]"
 	@touch $@
 
 system:

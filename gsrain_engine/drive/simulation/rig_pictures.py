@@ -64,6 +64,20 @@ class RigPictures:
         return CameraView(frame.to_uint8(), shot.camera, depth, semantic, instances)
 
 
+def rig_cameras(scene: Scene, name: str | None) -> tuple[RigCamera, ...]:
+    """Return the cameras of a scene's rig; without a name of its first one, none where it has no rig.
+
+    Raises ValueError for a rig that it does not have.
+    """
+    if not scene.rigs:
+        return ()
+    if name is None:
+        return next(iter(scene.rigs.values()))
+    if name not in scene.rigs:
+        raise ValueError(f"scene {scene.name!r} has no rig {name!r}, only {', '.join(scene.rigs)}")
+    return scene.rigs[name]
+
+
 def needed_cameras(cameras: Sequence[RigCamera], needs: Needs) -> tuple[RigCamera, ...]:
     """Return the cameras that an agent needs, in the order of the rig.
 

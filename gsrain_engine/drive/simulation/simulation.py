@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsrain_engine.render.renderer import Renderer
-from gsrain_engine.scene.scene import RigCamera, Scene
+from gsrain_engine.scene.scene import Scene
 
 from ..agents.agent import NOTHING, SPACING_S, Needs, Plan
 from ..agents.observation import Observation, Rig
@@ -21,7 +21,7 @@ from ..vehicle.bicycle import limited, moved_on
 from ..vehicle.controllers import open_controller
 from ..vehicle.state import Control, VehicleState
 from ..vehicle.vehicle import Vehicle
-from .rig_pictures import RigPictures, needed_cameras, of_width
+from .rig_pictures import RigPictures, needed_cameras, of_width, rig_cameras
 from .road_scene import RoadScene
 from .rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
 from .traffic import Traffic
@@ -50,7 +50,7 @@ class Simulation:
         self.ground = ground_of(scene)
         self.occupied: OccupiedSpace = occupied_space_of(scene, self.ground)
         self._needs, self._renderer = needs, renderer
-        cameras = tuple(of_width(each, scenario.picture_width_px) for each in _rig_cameras(scene, scenario.rig))
+        cameras = tuple(of_width(each, scenario.picture_width_px) for each in rig_cameras(scene, scenario.rig))
         self._shown = needed_cameras(cameras, needs)
         self.rig = Rig(scenario.vehicle, cameras, SENSOR_HEIGHT_M)
         self._controller = open_controller(scenario.controller)
@@ -118,11 +118,8 @@ class Simulation:
     @property
     def rig_to_world(self) -> Float64[np.ndarray, "4 4"]:
         """Pose of the ego vehicle's rig (x forward, y left, z up, above the rear axle) now. World: metres."""
-        state, matrix = self._moment.state, np.eye(4)
-        cosine, sine = np.cos(state.yaw_rad), np.sin(state.yaw_rad)
-        matrix[:2, :2] = [[cosine, -sine], [sine, cosine]]
-        matrix[:3, 3] = state.x_m, state.y_m, self.ground.height_m(state.x_m, state.y_m) + self.rig.height_m
-        return matrix
+        state = self._moment.state
+        return state.rig_to_world(self.ground.height_m(state.x_m, state.y_m) + self.rig.height_m)
 
     def rollout(self, agent: str) -> Rollout:
         """Return what has happened so far; of a drive that is not over, as one that was stopped."""
@@ -233,13 +230,3 @@ def vehicle_box(vehicle: Vehicle, state: VehicleState) -> PlanarBox:
     x = state.x_m + vehicle.middle_m * np.cos(state.yaw_rad)
     y = state.y_m + vehicle.middle_m * np.sin(state.yaw_rad)
     return PlanarBox(float(x), float(y), state.yaw_rad, vehicle.length_m, vehicle.width_m)
-
-
-def _rig_cameras(scene: Scene, name: str | None) -> tuple[RigCamera, ...]:
-    if not scene.rigs:
-        return ()
-    if name is None:
-        return next(iter(scene.rigs.values()))
-    if name not in scene.rigs:
-        raise ValueError(f"scene {scene.name!r} has no rig {name!r}, only {', '.join(scene.rigs)}")
-    return scene.rigs[name]

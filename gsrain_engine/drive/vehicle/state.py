@@ -28,6 +28,13 @@ class VehicleState:
         """Take points in the world to the vehicle's frame (x forward, y left)."""
         return (points - (self.x_m, self.y_m)) @ self._turn
 
+    def rig_to_world(self, height_m: float) -> Float64[np.ndarray, "4 4"]:
+        """Return the pose of a rig (x forward, y left, z up) at a height above the vehicle's point, in the world."""
+        matrix = np.eye(4)
+        matrix[:2, :2] = self._turn
+        matrix[:3, 3] = self.x_m, self.y_m, height_m
+        return matrix
+
     @property
     def _turn(self) -> Float64[np.ndarray, "2 2"]:
         cosine, sine = np.cos(self.yaw_rad), np.sin(self.yaw_rad)

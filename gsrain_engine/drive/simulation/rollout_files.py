@@ -1,0 +1,61 @@
+"""Roll-outs as files: JSON lines, what is the same for the whole drive first, then one line a moment."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from gsrain_engine.scene.atomic_files import whole_file
+
+from .rollout import Rollout, RolloutStep
+
+_MOST_BYTES = 1 << 30
+_VERSION = 1
+
+
+def write_rollout(path: Path, rollout: Rollout) -> None:
+    """Write a roll-out; the file is whole or not there at all. The same roll-out gives the same bytes."""
+    header = msgspec.structs.asdict(rollout)
+    del header["steps"]
+    with whole_file(path) as beside, beside.open("wb") as file:
+        for line in (header, *rollout.steps):
+            file.write(msgspec.json.encode(line, order="sorted") + b"\n")
+
+
+def read_rollout(path: Path) -> Rollout:
+    """Read a roll-out.
+
+    Raises ValueError, with the file and the line, for what is none, for a torn file, and for one of a newer version.
+    """
+    size = path.stat().st_size
+    if size > _MOST_BYTES:
+        raise ValueError(f"{path}: {size / 1e9:.1f} GB is too large for a roll-out; at most {_MOST_BYTES / 1e9:.1f} GB")
+    first, *rest = path.read_bytes().splitlines() or [b""]
+    header = _header(path, first)
+    steps = [_step(path, number, line) for number, line in enumerate(rest, start=2)]
+    if not steps:
+        raise ValueError(f"{path}: a roll-out of no moment: it has been torn off after its first line")
+    try:
+        return msgspec.convert({**header, "steps": tuple(steps)}, Rollout)
+    except msgspec.ValidationError as error:
+        raise ValueError(f"{path}: line 1: {error}") from None
+
+
+def _header(path: Path, line: bytes) -> dict[str, Any]:
+    try:
+        header = msgspec.json.decode(line, type=dict[str, Any])
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        raise ValueError(f"{path}: not a roll-out: its first line is no JSON object") from None
+    version = header.get("version")
+    if not isinstance(version, int) or version < 1:
+        raise ValueError(f"{path}: not a roll-out: its first line has no `version`")
+    if version > _VERSION:
+        raise ValueError(f"{path}: a roll-out of version {version}; this program reads up to {_VERSION}")
+    return header
+
+
+def _step(path: Path, number: int, line: bytes) -> RolloutStep:
+    try:
+        return msgspec.json.decode(line, type=RolloutStep)
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: line {number}: {error}") from None
