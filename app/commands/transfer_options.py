@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal, TypeVar
 import msgspec
 from cyclopts import Parameter
 
-from gsrain_engine.appearance.methods import TransferSettings, method_of
+from gsrain_engine.appearance.methods import method_of
+from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.appearance.views.choice import Source, ViewChoice
 from gsrain_engine.rain.wetness import wetness
 from gsrain_engine.session.jobs.torch_extra import require_torch

@@ -6,7 +6,8 @@ from pathlib import Path
 import msgspec
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
-from gsrain_engine.appearance.methods import METHODS, TransferSettings
+from gsrain_engine.appearance.methods import METHODS
+from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.rain.rain import CALIBRATED_UP_TO_MM_H
 from gsrain_engine.session.jobs.rainy_scene_job import TITLE
 from gsrain_engine.session.rainy.view_sources import SOURCES, TITLES, why_no_views

@@ -13,7 +13,7 @@ from .settings import RunSettings
 from .transfer import CycleGanTurboTransfer
 
 if TYPE_CHECKING:
-    from gsrain_engine.appearance.methods import TransferSettings
+    from gsrain_engine.appearance.transfer_settings import TransferSettings
 
 torch: Any = import_module("torch")
 

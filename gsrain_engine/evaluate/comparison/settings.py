@@ -7,7 +7,8 @@ import msgspec
 from msgspec import Meta, Struct
 
 from gsrain_engine.appearance.finetuning.pictures.settings import PictureSettings
-from gsrain_engine.appearance.methods import METHODS, TransferSettings
+from gsrain_engine.appearance.methods import METHODS
+from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.appearance.views.choice import ViewChoice
 from gsrain_engine.shipped_configs import load_values
 

@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from gsrain_engine.appearance.clear_view import ClearView
-from gsrain_engine.appearance.methods import TransferSettings, method_of, open_transfer
+from gsrain_engine.appearance.methods import method_of, open_transfer
 from gsrain_engine.appearance.transfer import Transfer
+from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
 from gsrain_engine.appearance.views.placed_camera import PlacedCamera
 from gsrain_engine.appearance.views.scene_views import scene_views

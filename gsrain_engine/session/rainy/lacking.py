@@ -1,7 +1,8 @@
 """What a transfer lacks to be opened: told beside its settings, before a worker is started for nothing."""
 
 from gsrain_engine.appearance.cyclegan_turbo.places import find_base, find_weights
-from gsrain_engine.appearance.methods import Method, TransferSettings
+from gsrain_engine.appearance.methods import Method
+from gsrain_engine.appearance.transfer_settings import TransferSettings
 
 from ..jobs.torch_extra import HOW_TO_GET_TORCH, has_torch
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import UInt8
 
-from gsrain_engine.appearance.methods import TransferSettings
+from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Scene
 

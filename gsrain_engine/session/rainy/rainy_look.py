@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from gsrain_engine.appearance.methods import METHODS, Method, TransferSettings, method_of
+from gsrain_engine.appearance.methods import METHODS, Method, method_of
+from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.appearance.views.choice import ViewChoice
 
 from ..jobs.background_job import BackgroundJob, JobPreview

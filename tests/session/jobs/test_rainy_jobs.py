@@ -10,7 +10,7 @@ import pytest
 
 from gsrain_engine.appearance.finetuning.settings import FinetuningSettings
 from gsrain_engine.appearance.finetuning.task import TrainingTask
-from gsrain_engine.appearance.methods import TransferSettings
+from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
 from gsrain_engine.reconstruct.recoloring.recolored_file import read_recolored
 from gsrain_engine.scene.formats.scene_folder import write_scene_folder
