@@ -29,7 +29,9 @@ COMMANDS = {
     "reconstruct": "Fit Gaussians to a capture: images with cameras, and lidar or COLMAP points where it has them.",
     "transfer": "Make clear views of a scene, or the pictures of a capture, look rainy.",
     "recolor": "Re-optimize a scene's colours to pictures of it in another look; its geometry stays.",
+    "sweep": "Run many drives or renders: every combination of scenes, scenarios, intensities, seeds and agents.",
     "train-transfer": "Fine-tune the transfer CycleGAN-Turbo on clear and rainy pictures (LoRA).",
+    "drive": "Test a driver in the rain: a closed loop of scene, rain and agent.",
     "doctor": "Look for everything that GSRAIN can use, and say what is missing.",
 }
 for name, summary in COMMANDS.items():

@@ -28,6 +28,8 @@ _QUALITY = 88
 _TOOL_WIDTH = 560
 _MOMENT_S = 5.4
 """In the middle of the shower and between two cars."""
+_IN_THE_DRIVE_S = 1.6
+"""The car that stands is near, and the plan shows that it is seen."""
 _MARGIN = 16
 """Pixels that the test engine takes around a window."""
 
@@ -202,18 +204,41 @@ def picture_capture(camera: Photographer) -> None:
         captures.close_capture()
 
 
+def picture_drive(camera: Photographer) -> None:
+    """Two drives towards a car that stands: one that keeps its speed, and one that brakes, in rain, which plays."""
+    session, drives = camera.session, camera.session.drives
+    for agent, intensity in (("constant-velocity", 0.0), ("oracle-idm", 8.5)):
+        drives.wanted.wishes = msgspec.structs.replace(
+            drives.wanted.wishes, agent=agent, rain="one intensity", intensity_mm_h=intensity
+        )
+        drives.start(session)
+        while session.running_jobs or drives.is_working:
+            camera.frames(1)
+    drives.mosaic.rig = "nuscenes"
+    for panel in ("View", "Drive", "Drive plots", "Rig cameras"):
+        camera.ctx.window_focus(f"//{panel}")
+    drives.jump(session, _IN_THE_DRIVE_S)
+    camera.frames(30)
+    camera.take("drive")
+    camera.ctx.scroll_to_bottom("//Drive")
+    camera.take("panel_drive", "Drive")
+    drives.close_all(session)
+    session.go_home()
+
+
 def _file_name(title: str) -> str:
     return title.lower().replace(" ", "_").replace("-", "_")
 
 
 def main() -> None:
-    """Take all pictures, or those of the groups that are named: panels, tools, pages, wet, capture."""
+    """Take all pictures, or those of the groups that are named: panels, tools, pages, wet, capture, drive."""
     groups = {
         "panels": picture_panels,
         "tools": picture_tools,
         "pages": picture_pages,
         "wet": picture_wet,
         "capture": picture_capture,
+        "drive": picture_drive,
     }
     wanted = sys.argv[1:] or list(groups)
     use_kernel_cache()

@@ -1,6 +1,7 @@
 """`gsrain doctor`: what this machine has, what is missing, and how to get it."""
 
 import importlib.util
+import sys
 from collections.abc import Callable
 from importlib import metadata
 from typing import NamedTuple
@@ -22,8 +23,10 @@ class Finding(NamedTuple):
 
 def doctor(*, json: JsonFile = None) -> int:
     """Look for everything that GSRAIN can use. Exit code 1 when something that it needs is missing."""
-    needed = [_opengl(), _video(), _threads()]
+    video = _video()
+    needed = [_opengl(), _threads()] if is_frozen() else [_opengl(), video, _threads()]
     optional = [
+        *([video] if is_frozen() else []),
         _osmesa(),
         _display(),
         _package("torch", "gsrain reconstruct, and --polish and --refine of gsrain recolor", "jobs"),
@@ -39,6 +42,7 @@ def doctor(*, json: JsonFile = None) -> int:
         find_transfer_weights(),
         find_clip_model(),
         _package("onnxruntime", "the detectors of gsrain evaluate detection", "evaluate"),
+        find_detector_file(),
         _package("pycocotools", "average precision in gsrain evaluate detection", "evaluate"),
         _package("pyarrow", "Waymo Perception v2 (Parquet tables)", "waymo"),
         _package("protobuf", "Waymo Perception v1 (TFRecord files)", "waymo"),
@@ -48,6 +52,11 @@ def doctor(*, json: JsonFile = None) -> int:
         print(f"{mark} {finding.name}: {finding.what}")
     write_numbers(json, {each.name: {"found": each.found, "what": each.what} for each in (*needed, *optional)})
     return 0 if all(each.found for each in needed) else 1
+
+
+def is_frozen() -> bool:
+    """Whether this is the program that PyInstaller builds, which has no PyAV: its wheel holds encoders under the GPL."""
+    return getattr(sys, "frozen", False)
 
 
 def _tried(name: str, attempt: Callable[[], str], remedy: str) -> Finding:
@@ -85,7 +94,7 @@ def _video() -> Finding:
         names = [name for name in ("libx264", "libvpx-vp9") if name in av.codecs_available]
         return f"PyAV {av.__version__} with {', '.join(names)}"
 
-    return _tried("video", encoders, "pip install av")
+    return _tried("video", encoders, "(left out of frozen programs)" if is_frozen() else "pip install av")
 
 
 def _threads() -> Finding:
@@ -183,6 +192,22 @@ def find_inception() -> Finding:
         return str(found)
 
     return _tried("Inception weights (of FID)", file, "")
+
+
+def find_detector_file() -> Finding:
+    """Look for a detector by which the agent camera-idm sees; it is opened where onnxruntime is there to do so."""
+
+    def file() -> str:
+        from gsrain_engine.evaluate.detection.detector import open_detector
+        from gsrain_engine.evaluate.detection.detector_place import find_detector
+
+        found = find_detector()
+        if importlib.util.find_spec("onnxruntime") is None:
+            return str(found)
+        wide, high = open_detector(found).input_size_px
+        return f"{found} (sees {wide} x {high} px)"
+
+    return _tried("detector (camera-idm of gsrain drive)", file, "")
 
 
 def find_base_model() -> Finding:

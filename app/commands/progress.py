@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from gsrain_engine.scene.progress import Progress as Step
+from gsrain_engine.scene.progress import finished
 
 _Result = TypeVar("_Result")
 
@@ -37,9 +38,4 @@ def followed(work: Generator[Step, None, _Result]) -> _Result:
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         shown = bar.add_task("Reading", total=1.0)
-        while True:
-            try:
-                step = next(work)
-            except StopIteration as end:
-                return end.value
-            bar.update(shown, completed=step.fraction, description=step.message)
+        return finished(work, lambda step: bar.update(shown, completed=step.fraction, description=step.message))

@@ -62,7 +62,7 @@ def render(
     depth: Annotated[bool, Parameter(help="Add depth to the passes: PNG (16 bit, cm), NPY (m) or EXR (m).")] = False,
     labels: Annotated[
         LabelFormat | None,
-        Parameter(help="Write 2D and 3D boxes, visibility and instance masks of actors and parked cars, with depth."),
+        Parameter(help="Write 2D and 3D boxes, visibility, instance masks of actors and parked vehicles, with depth."),
     ] = None,
     look: Annotated[
         Look, Parameter(help="What to show: the picture (splats), or without rain what it is made of.")

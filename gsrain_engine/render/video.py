@@ -6,7 +6,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import av
 import numpy as np
 from jaxtyping import UInt8
 
@@ -55,7 +54,7 @@ class VideoWriter:
 
         `quality` is the encoder's constant rate factor: lower is better and larger.
 
-        Raises `ValueError` for a suffix, a codec or a size that can't be encoded.
+        Raises `ValueError` for a suffix, a codec or a size that can't be encoded, and where PyAV is missing.
         """
         suffix = path.suffix.lower()
         if suffix not in _CODECS:
@@ -64,6 +63,7 @@ class VideoWriter:
             raise ValueError(f"{path}: {suffix} holds {' or '.join(_CODECS[suffix])}, not {codec}")
         if width % 2 or height % 2:
             raise ValueError(f"{path}: a video needs an even width and height, got {width}x{height}")
+        self._av = _pyav(path)
         codec = codec or _CODECS[suffix][0]
         encoder = _ENCODERS[codec]
         options = {"crf": str(USUAL_QUALITY[codec] if quality is None else quality), **encoder.options}
@@ -71,7 +71,7 @@ class VideoWriter:
             os.environ.setdefault("SVT_LOG", "1")  # errors only: it is talkative on the console
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = TornFile(path)
-        self._container: Any = av.open(self._file, mode="w", format=suffix[1:], options=_CONTAINERS[suffix])
+        self._container: Any = self._av.open(self._file, mode="w", format=suffix[1:], options=_CONTAINERS[suffix])
         rate = Fraction(fps).limit_denominator(1001)
         self._stream: Any = self._container.add_stream(encoder.name, rate=rate, options=options)
         self._stream.width, self._stream.height = width, height
@@ -80,7 +80,7 @@ class VideoWriter:
 
     def write(self, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
         """Add a frame. Raises `OSError` where it can't be written."""
-        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
+        frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
         self._container.mux(self._stream.encode(frame))
         self._file.check()
 
@@ -102,3 +102,18 @@ class VideoWriter:
                 self.close()
         else:
             self.close()
+
+
+def _pyav(path: Path) -> Any:
+    """The package `av`. Asked for here, so that a program without it still makes pictures.
+
+    What PyInstaller builds has none: the wheel of PyAV holds encoders under the GPL.
+    """
+    try:
+        import av
+    except ImportError as error:
+        raise ValueError(
+            f"{path}: videos need PyAV, which is not here (pip install av; a frozen program never has it); "
+            "a folder of pictures or .exr goes without"
+        ) from error
+    return av

@@ -1,5 +1,6 @@
 """A camera that moves: keys with curves through positions, rotations and fields of view."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -35,6 +36,21 @@ class CameraPath:
     def __post_init__(self) -> None:
         if len(self.times_s) == 0 or np.any(np.diff(self.times_s) <= 0):
             raise ValueError("a camera path needs at least one keyframe, with rising times")
+
+    @classmethod
+    def through(cls, times_s: Sequence[float], cameras: Sequence[Camera]) -> "CameraPath":
+        """Fly through cameras at moments, in seconds, which rise; the exposure is the first one's.
+
+        Raises ValueError where there is no camera, there are not as many moments, or they don't rise.
+        """
+        if len(times_s) != len(cameras):
+            raise ValueError(f"a camera path needs a moment for each camera: {len(times_s)} for {len(cameras)}")
+        if not cameras:
+            raise ValueError("a camera path needs at least one camera")
+        poses = np.stack([camera.camera_to_world for camera in cameras])
+        fov = np.array([camera.vertical_fov_deg for camera in cameras])
+        quaternions = quaternions_from_matrices(poses[:, :3, :3])
+        return cls(np.asarray(times_s, np.float64), poses[:, :3, 3], quaternions, fov, cameras[0].exposure_s)
 
     @property
     def start_s(self) -> float:

@@ -1,4 +1,4 @@
-"""The things in a scene that have a class and a box: its actors, and the built-in street's parked cars."""
+"""The things in a scene that have a class and a box: its actors, and the built-in street's parked vehicles."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from .gaussians import Gaussians
 from .members import Actor, Layer
 from .rotations import quaternions_from_matrices
 from .scene import Scene
-from .street.parked_cars import PARKED_LAYER, ParkedCarBox, parked_car_boxes
+from .street.parked_vehicles import PARKED_CARS, PARKED_TRUCKS, ParkedBox, parked_boxes
 from .track import Track
 
 _MARGIN_M = 0.2
@@ -37,12 +37,15 @@ class SceneObject:
 
 
 def scene_objects(scene: Scene) -> tuple[SceneObject, ...]:
-    """Find what has a class and a box, visible members only: actors first, then the street's parked cars."""
+    """Find what has a class and a box, visible members only: actors first, then the street's parked vehicles."""
     actors = [_of_actor(actor) for actor in scene.actors if actor.visible]
-    parked = [layer for layer in scene.layers if layer.name == PARKED_LAYER and layer.visible]
+    parked = [layer for layer in scene.layers if layer.name in (PARKED_CARS, PARKED_TRUCKS) and layer.visible]
     if scene.name != "street" or not parked:
         return tuple(actors)
-    return *actors, *_parked(parked[0], parked_car_boxes())
+    boxes = parked_boxes()
+    for layer in parked:
+        actors += _parked(layer, [box for box in boxes if box.layer == layer.name])
+    return tuple(actors)
 
 
 def _of_actor(actor: Actor) -> SceneObject:
@@ -51,7 +54,7 @@ def _of_actor(actor: Actor) -> SceneObject:
     return SceneObject(actor.id, actor.class_name, actor.size_lwh, actor.track, actor.key, _kept(actor, rows))
 
 
-def _parked(layer: Layer, boxes: Iterable[ParkedCarBox]) -> list[SceneObject]:
+def _parked(layer: Layer, boxes: Iterable[ParkedBox]) -> list[SceneObject]:
     """Share out a layer's Gaussians among boxes; nothing where most lie in none, for it then is another street."""
     means = layer.gaussians.means.astype(np.float64)
     objects: list[SceneObject] = []
@@ -62,7 +65,9 @@ def _parked(layer: Layer, boxes: Iterable[ParkedCarBox]) -> list[SceneObject]:
         track = _standing(layer.to_scene @ box.to_street)
         scale = float(np.cbrt(np.linalg.det(layer.to_scene[:3, :3])))
         length, width, height = (scale * side for side in box.size_lwh)
-        objects.append(SceneObject(box.id, "car", (length, width, height), track, layer.key, _kept(layer, rows)))
+        objects.append(
+            SceneObject(box.id, box.class_name, (length, width, height), track, layer.key, _kept(layer, rows))
+        )
     found = len(means) > 0 and sum(len(each.rows) for each in objects) >= _LEAST_SHARE * _present(layer)
     return [each for each in objects if len(each.rows)] if found else []
 

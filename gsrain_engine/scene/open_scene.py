@@ -58,7 +58,7 @@ def scene_folder_of(path: Path) -> Path | None:
 
 def cached_street() -> Scene:
     """Return the built-in street: built once, then read from the cache folder."""
-    folder = Path(platformdirs.user_cache_dir("gsrain", appauthor=False)) / f"street-{_fingerprint()}"
+    folder = Path(platformdirs.user_cache_dir("gsrain", appauthor=False)) / f"street-{street_fingerprint()}"
     if folder.is_dir():
         try:
             return read_scene(folder)
@@ -102,8 +102,8 @@ def _masks(marks: Marks) -> tuple[Mask | None, Mask | None, Mask | None]:
     return marks.selected, marks.hidden, marks.deleted
 
 
-def _fingerprint() -> str:
-    """Parameters and source of the street: another version of it is another cache."""
+def street_fingerprint() -> str:
+    """Return a hash of the built-in street's parameters and source: another version of it is another scene."""
     digest = hashlib.sha256(msgspec.json.encode(StreetParameters()))
     for source in (Path(drawing_order.__file__), *sorted(Path(build.__file__).parent.glob("*.py"))):
         digest.update(source.read_bytes())

@@ -1,9 +1,12 @@
 """How far a background job has come: the one thing that jobs say while they work."""
 
-from typing import NamedTuple
+from collections.abc import Callable, Generator
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
+
+_Result = TypeVar("_Result")
 
 
 class Progress(NamedTuple):
@@ -15,3 +18,14 @@ class Progress(NamedTuple):
     """What is being done, for a person to read."""
     preview: UInt8[np.ndarray, "h w 3"] | None = None
     """A small picture of how it goes; of several, the newest is shown."""
+
+
+def finished(work: Generator[Progress, None, _Result], tell: Callable[[Progress], object] | None = None) -> _Result:
+    """Do a piece of work to its end and return its result; `tell` hears of each step. What it raises comes through."""
+    while True:
+        try:
+            step = next(work)
+        except StopIteration as end:
+            return end.value
+        if tell is not None:
+            tell(step)

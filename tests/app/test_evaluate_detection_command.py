@@ -12,6 +12,7 @@ from app.command_line import BAD_INPUT, run
 from boxy_scene import boxy_scene
 from gsrain_engine.datasets.capture import View
 from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.evaluate.detection.detector import Detector
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.rig import rig_camera
 from small_scene import small_scene
@@ -70,6 +71,11 @@ def test_rows_scores_figures_report_and_video(project, detector, tmp_path, capsy
     for name in ("confidence.png", "iou.png", "precision.png", "view_0.png", "view_1.png"):
         assert np.asarray(Image.open(out / name)).shape[1] > 64
     page = (out / "report.html").read_text()
+    settings = report["settings"]
+    assert settings["seeds"] == [0, 1]
+    assert settings["versions"]["gsrain"]
+    hashes = [*settings["inputs"].values(), settings["detectors"]["red"]["sha256"]]
+    assert all(each in page for each in (settings["command"], *hashes))
     assert page.count("data:image/png") == 3
     assert page.count("data:image/jpeg") == 2
     assert "Recall by distance" in page
@@ -86,6 +92,57 @@ def test_the_same_command_gives_the_same_rows(project, detector, tmp_path):
         texts.append(json.loads((tmp_path / name).read_text())["rows"])
     assert texts[0] == texts[1]
     assert {row["intensity_mm_h"] for row in texts[0]} == {0, 12}  # what it is compared with is always there
+
+
+@pytest.mark.parametrize("calls", [1, 4, 7])
+def test_a_sweep_that_was_stopped_goes_on_to_the_same_bytes(project, detector, tmp_path, monkeypatch, capsys, calls):
+    options = ("--rain", "12", "--seeds", "3", "--frames", "2")
+    assert evaluate(project, detector, *options, "-o", str(tmp_path / "whole")) == 0
+    counted(monkeypatch, stop_after=calls)
+    with pytest.raises(RuntimeError, match="pulled the plug"):
+        evaluate(project, detector, *options, "-o", str(tmp_path / "stopped"))
+    assert not (tmp_path / "stopped" / "rows.csv").exists()
+    capsys.readouterr()
+    asked = counted(monkeypatch)
+    assert evaluate(project, detector, *options, "-o", str(tmp_path / "stopped")) == 0
+    assert len(asked) == 2 * (1 + 3) - calls
+    assert f"finished.jsonl: {calls} pictures judged before" in capsys.readouterr().out
+    for name in ("rows.csv", "rows.parquet", "finished.jsonl", "confidence.png", "view_0.png", "view_1.png"):
+        assert (tmp_path / "stopped" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+def test_only_what_is_new_is_looked_at(project, detector, tmp_path, monkeypatch):
+    base = ("--frames", "1", "-o", str(tmp_path))
+    assert evaluate(project, detector, "--rain", "12", "--seeds", "1", *base) == 0
+    asked = counted(monkeypatch)
+    assert evaluate(project, detector, "--rain", "12,50", "--seeds", "2", *base) == 0
+    assert len(asked) == 3  # 12 mm/h with seed 1, 50 mm/h with both
+    rows = json.loads((tmp_path / "detection.json").read_text())["rows"]
+    assert len(rows) == 6
+    asked.clear()
+    other = write_red_finder(tmp_path / "other.onnx", NAMES)
+    assert evaluate(project, detector, "--rain", "12", "--seeds", "1", *base, "--detector", str(other)) == 0
+    assert len(asked) == 2  # those of the other detector
+    asked.clear()
+    assert evaluate(project, detector, "--rain", "12", "--seeds", "1", *base, "--exposure", "0.05") == 0
+    assert len(asked) == 2  # other pictures
+
+
+DETECT = Detector.detect
+
+
+def counted(monkeypatch, stop_after=None):
+    """Count how often detectors are asked; after so many times somebody pulls the plug."""
+    asked = []
+
+    def detect(self, image):
+        if len(asked) == stop_after:
+            raise RuntimeError("pulled the plug")
+        asked.append(self.name)
+        return DETECT(self, image)
+
+    monkeypatch.setattr(Detector, "detect", detect)
+    return asked
 
 
 def test_pictures_of_a_folder_are_rained_on_by_a_coco_file(detector, tmp_path, capsys):

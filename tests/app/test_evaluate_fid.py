@@ -52,6 +52,14 @@ def test_two_sets_are_compared_with_the_real_one(sets, tmp_path, capsys):
     html = page.read_text()
     assert f"FD-pixels16 of {tmp_path.name}/dark" in html
     assert "tells no difference" in html
+    numbers = json.loads(file.read_text())
+    assert numbers["command"].startswith("gsrain ")
+    assert numbers["versions"]["gsrain"]
+    assert set(numbers["inputs"]) == {str(folder) for folder in sets}
+    assert all(each in html for each in (numbers["command"], *numbers["inputs"].values()))
+    alone = tmp_path / "alone.html"
+    assert fid(*sets, "--extractor", "pixels16", "--resamples", "40", "--report", alone) == 0
+    assert alone.with_suffix(".json").read_bytes() == file.read_bytes()
     again = tmp_path / "again.json"
     assert fid(*sets, "--extractor", "pixels16", "--resamples", "40", "--json", again) == 0
     assert again.read_bytes() == file.read_bytes()

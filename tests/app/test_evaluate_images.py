@@ -46,6 +46,13 @@ def test_pairs_are_measured_and_told(folders, tmp_path, capsys):
     html = page.read_text()
     assert "Every picture" in html
     assert "held-out" not in html.lower()
+    assert numbers["command"].startswith("gsrain ")
+    assert numbers["versions"]["gsrain"]
+    assert len(numbers["inputs"]) == 2
+    assert all(each in html for each in (numbers["command"], *numbers["inputs"].values()))
+    alone = tmp_path / "alone.html"
+    assert images(*folders, "--report", alone) == 0
+    assert alone.with_suffix(".json").read_bytes() == file.read_bytes()
     again = tmp_path / "again.json"
     assert images(*folders, "--json", again) == 0
     assert again.read_bytes() == file.read_bytes()

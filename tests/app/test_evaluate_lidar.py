@@ -56,6 +56,11 @@ def test_a_scene_is_scanned_and_rained_on(scene, tmp_path, capsys):
     kept = 100 * sum(row["kept"] for row in heavy) / sum(row["clear"] for row in heavy)
     assert "four rings" in page and f">{kept:.2f}<" in page
     assert "kept" in capsys.readouterr().out
+    assert json.loads((out / "lidar.json").read_text()) == report
+    assert report["seeds"] == [0, 1]
+    assert report["versions"]["gsrain"]
+    assert set(report["inputs"]) == {str(scene), str(sensor)}
+    assert all(each in page for each in (report["command"], *report["inputs"].values()))
 
 
 def test_the_same_command_writes_the_same_bytes(scene, tmp_path):

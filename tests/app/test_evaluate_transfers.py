@@ -114,6 +114,9 @@ def test_what_stands_is_kept_and_only_what_changed_runs_again(tmp_path, capsys):
     assert transfers(tmp_path, settings(), "--json", numbers) == 0
     first = json.loads(numbers.read_text())
     assert first["kept"] == []
+    assert set(first["inputs"]) == {"clear views", "real pictures real"}
+    page = (out / "report.html").read_text()
+    assert all(each in page for each in (first["command"], first["versions"]["gsrain"], *first["inputs"].values()))
     times = {name: (out / name / "transfer.json").stat().st_mtime_ns for name in ("clear", "wet")}
     assert transfers(tmp_path, settings(), "--json", numbers) == 0
     again = json.loads(numbers.read_text())

@@ -143,6 +143,18 @@ def test_folders_are_compared_side_by_side(written, capsys):
     assert sheet.std() > 20
 
 
+def test_a_page_says_where_its_numbers_come_from(written):
+    folders = [str(written / "alike"), str(written / "mirroring")]
+    page = written / "c.html"
+    assert run(["evaluate", "consistency", *folders, "--report", str(page), "--sheet-pairs", "1"]) == 0
+    numbers, html = json.loads((written / "c.json").read_text()), page.read_text()
+    assert set(numbers["inputs"]) == set(folders)
+    assert numbers["versions"]["gsrain"]
+    assert all(each in html for each in (numbers["command"], *numbers["inputs"].values()))
+    assert f">{255 * numbers['means'][1]['rmse_after']:.2f}<" in html
+    assert html.count("data:image/jpeg") == 1
+
+
 def test_a_capture_of_another_tool_has_only_an_after(written):
     capture = written / "alike"
     (capture / "transfer.json").unlink()

@@ -18,18 +18,25 @@ def street():
     return cached_street()
 
 
-def test_the_street_has_its_lead_car_and_every_parked_one(street):
+def test_the_street_has_its_lead_car_and_every_parked_vehicle(street):
     objects = scene_objects(street)
-    cars = plan_street(StreetParameters()).cars
-    assert [each.id for each in objects] == ["lead", *(f"parked-{k:02d}" for k in range(len(cars)))]
+    layout = plan_street(StreetParameters())
+    cars, trucks = layout.cars, layout.trucks
+    assert [each.id for each in objects] == [
+        "lead", *(f"parked-{k:02d}" for k in range(len(cars))), *(f"truck-{k:02d}" for k in range(len(trucks)))
+    ]  # fmt: skip
+    assert [each.class_name for each in objects] == ["car"] * (1 + len(cars)) + ["truck"] * len(trucks)
+    assert len(trucks) >= 2
     parked = objects[1:]
-    rows = np.concatenate([each.rows for each in parked])
-    assert len(np.unique(rows)) == len(rows)
-    layer = street.member("layers/parked cars")
-    assert len(rows) > 0.98 * len(layer.gaussians)
-    for each, car in zip(parked, cars, strict=True):
-        middle = layer.gaussians.means[each.rows][:, :2].mean(axis=0)
-        np.testing.assert_allclose(middle, (car.x, car.y), atol=0.5)
+    for kind, count in (("cars", len(cars)), ("trucks", len(trucks))):
+        own = [each.rows for each in parked if each.member == f"layers/parked {kind}"]
+        rows = np.concatenate(own)
+        assert len(own) == count
+        assert len(np.unique(rows)) == len(rows)
+        assert len(rows) > 0.98 * len(street.member(f"layers/parked {kind}").gaussians)
+    for each, car in zip(parked, (*cars, *trucks), strict=True):
+        middle = street.member(each.member).gaussians.means[each.rows][:, :2].mean(axis=0)
+        np.testing.assert_allclose(middle, (car.x, car.y), atol=0.9)
         np.testing.assert_allclose(each.track.pose(3.0)[:2, 3], (car.x, car.y))
 
 
@@ -43,12 +50,15 @@ def test_the_shadow_that_a_car_carries_along_is_not_the_car(street):
     assert lead.gaussians.opacities[rows].min() > 0.5
 
 
-def test_another_street_has_no_known_parked_cars(street):
-    layer = street.member("layers/parked cars")
-    moved = replace(layer.gaussians, means=layer.gaussians.means + np.float32([3, 0, 0]))
-    assert len(scene_objects(street.with_member("layers/parked cars", gaussians=moved))) == 1
+def test_another_street_has_no_known_parked_vehicles(street):
+    cars, trucks = street.member("layers/parked cars"), street.member("layers/parked trucks")
+    moved = replace(cars.gaussians, means=cars.gaussians.means + np.float32([3, 0, 0]))
+    elsewhere = street.with_member(cars.key, gaussians=moved)
+    assert {each.member for each in scene_objects(elsewhere)} == {"actors/lead", trucks.key}
     assert len(scene_objects(replace(street, name="mine"))) == 1
-    assert len(scene_objects(street.with_member("layers/parked cars", visible=False))) == 1
+    unseen = street.with_member(cars.key, visible=False)
+    assert {each.class_name for each in scene_objects(unseen)} == {"car", "truck"}
+    assert len(scene_objects(unseen.with_member(trucks.key, visible=False))) == 1
 
 
 def test_actors_are_objects_while_they_can_be_seen():

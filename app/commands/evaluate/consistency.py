@@ -6,19 +6,26 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from cyclopts import Parameter
+from jaxtyping import UInt8
 from PIL import Image
 from rich.console import Console
 
+from gsrain_engine.evaluate.comparison.stamp import stamp
 from gsrain_engine.evaluate.consistency.folders import ComparedViews, open_compared
 from gsrain_engine.evaluate.consistency.pairs import FILM_SHARE, PairAgreement, agreements, warped_pair
 from gsrain_engine.evaluate.consistency.sheet import ShownPair, consistency_sheet
+from gsrain_engine.evaluate.report.run_report import write_report
+from gsrain_engine.scene.content_hash import file_hash
 
 from ..arguments import write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar
 from .consistency_numbers import print_agreements, report_of
+from .consistency_page import consistency_page
 from .perceived import perceived_distance
+from .run_facts import run_facts, write_beside
 
 _SCREEN = Path("-")
 _COLUMNS = 150
@@ -43,6 +50,9 @@ def consistency(
     ] = None,
     sheet: Annotated[Path | None, Parameter(help="Picture of some pairs, warped, with their errors (.png).")] = None,
     sheet_pairs: Annotated[int, Parameter(help="Pairs on that picture.")] = 4,
+    report: Annotated[
+        Path | None, Parameter(help="Also write a page of HTML with that picture, and the numbers as JSON beside it.")
+    ] = None,
     json: Annotated[
         Path | None,
         Parameter(name="--json", help="Write the numbers to this file; - prints them.", allow_leading_hyphen=True),
@@ -55,7 +65,7 @@ def consistency(
     square over matched pixels, in levels of 255; "per contrast" divides each by its picture's contrast.
     """
     _check(folders, neighbours, film, sheet_pairs)
-    check_writable(sheet, None if json == _SCREEN else json)
+    check_writable(sheet, report, None if json == _SCREEN else json)
     compared = [open_compared(folder, width) for folder in folders]
     pairs = compared[0].chosen(neighbours)
     if not pairs:
@@ -73,13 +83,26 @@ def consistency(
                 raise ValueError(f"{each.folder}: neighbouring views match in too few pixels to be compared")
             results.append(rows)
     print_agreements(compared, results, Console(file=sys.stderr if json == _SCREEN else sys.stdout, width=_COLUMNS))
-    if sheet is not None:
-        _draw(sheet, compared, own_pairs, film, sheet_pairs)
-    report = report_of(compared, results, film)
+    numbers = report_of(compared, results, film) | run_facts(_inputs(folders, lpips), ("torch",))
+    if sheet is not None or report is not None:
+        drawn = _drawn(compared, own_pairs, film, sheet_pairs)
+        if sheet is not None:
+            Image.fromarray(drawn).save(sheet)
+            print(f"wrote {sheet}", file=sys.stderr)
+        if report is not None:
+            write_report(report, consistency_page(numbers, drawn, {"neighbours": neighbours, "LPIPS": lpips or "-"}))
+            beside = write_beside(report, json, numbers)
+            print(f"wrote {report}" + (f", {beside}" if beside else ""), file=sys.stderr)
     if json == _SCREEN:
-        print(json_text.dumps(report, indent=1))
+        print(json_text.dumps(numbers, indent=1))
     else:
-        write_numbers(json, report)
+        write_numbers(json, numbers)
+
+
+def _inputs(folders: Sequence[Path], lpips: str | None) -> dict[str, str]:
+    """Hashes over names, sizes and times of what is compared, and of the bytes of a file of weights."""
+    found = {str(folder): stamp(folder) for folder in folders}
+    return found | {f"LPIPS {lpips}": file_hash(Path(lpips))} if lpips and Path(lpips).is_file() else found
 
 
 def _check(folders: Sequence[Path], neighbours: int, film: float, sheet_pairs: int) -> None:
@@ -93,7 +116,10 @@ def _check(folders: Sequence[Path], neighbours: int, film: float, sheet_pairs: i
         raise ValueError(f"--sheet-pairs {sheet_pairs}: must be within 1..40")
 
 
-def _draw(path: Path, compared: Sequence[ComparedViews], pairs: Sequence[_Pairs], film: float, most: int) -> None:
+def _drawn(
+    compared: Sequence[ComparedViews], pairs: Sequence[_Pairs], film: float, most: int
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Some pairs of each folder, warped, with their errors."""
     count = min(most, len(pairs[0]))
     chosen = [i * len(pairs[0]) // count for i in range(count)]
     shown = [
@@ -103,5 +129,4 @@ def _draw(path: Path, compared: Sequence[ComparedViews], pairs: Sequence[_Pairs]
         ]
         for i in chosen
     ]
-    Image.fromarray(consistency_sheet(shown)).save(path)
-    print(f"wrote {path}", file=sys.stderr)
+    return consistency_sheet(shown)

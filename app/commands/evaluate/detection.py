@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +16,7 @@ from gsrain_engine.render.backends import Backend, open_renderer
 from ..arguments import JsonFile, write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar
+from .detection_memory import opened_memory
 from .detection_numbers import detection_numbers, print_scores
 from .detection_outputs import DetectionVideo, write_outputs
 from .detection_source import DetectionSource, base_rain, opened_source
@@ -76,9 +78,10 @@ def detection(
     """Measure what rain does to object detectors: confidence, boxes, classes and average precision by intensity.
 
     Each view is shown as it was taken (where a capture has it), clear, and in rains of several seeds. What is there
-    to be found comes from the scene's actors (the street: its lead car and parked cars), from a capture's 3D boxes, or
-    from a COCO file; objects lower than 16 px or less than a quarter visible are neither asked for nor held against
-    anybody who finds them.
+    to be found comes from the scene's actors (the street: its lead car, parked cars and trucks), from a capture's 3D
+    boxes, or from a COCO file; objects lower than 16 px or less than a quarter visible are neither asked for nor held
+    against anybody who finds them. With --output, what is finished is kept there: the same command goes on after a
+    stop, and more seeds, intensities or detectors only add to it.
     """
     _check_installed()
     intensities = _intensities(rain)
@@ -91,8 +94,15 @@ def detection(
         prepared = opened_source(renderer, asked, rainfall)
         trials = prepared.trials(intensities, tuple(range(seeds)))
         recorder = DetectionVideo(video, prepared.frame_rate)
-        with progress_bar("Detecting", len(prepared.frames) * len(trials)) as advance, recorder:
-            for picture in prepared.judged(detectors, trials):
+        with ExitStack() as open_files:
+            memory = None
+            if output is not None:
+                output.mkdir(parents=True, exist_ok=True)
+                memory = opened_memory(output, prepared, detectors, detector, renderer.name, asked.is_wet)
+                open_files.enter_context(memory)
+            advance = open_files.enter_context(progress_bar("Detecting", len(prepared.frames) * len(trials)))
+            open_files.enter_context(recorder)
+            for picture in prepared.judged(detectors, trials, memory):
                 recorder.take(picture)
                 advance()
     numbers = detection_numbers(recorder.judgements, detectors, detector, renderer.name, prepared, seeds)

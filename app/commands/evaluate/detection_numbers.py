@@ -1,10 +1,10 @@
 """The numbers of `gsrain evaluate detection`: rows, scores, where they come from; on the screen and as JSON."""
 
 import hashlib
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from gsrain_engine.evaluate.detection.sweep import Judgement, Row, rows_of
 from gsrain_engine.evaluate.detection.truth import LEAST_HEIGHT_PX, LEAST_VISIBILITY
 
 from .detection_source import PreparedSource
+from .run_facts import version_of
 
 _PACKAGES = ("gsrain", "onnxruntime", "numpy", "numba", "opencv-python-headless")
 
@@ -74,10 +75,11 @@ def detection_numbers(
     camera = source.frames[0].shot.camera
     settings = {
         "source": source.name,
-        "command": " ".join(sys.argv[1:]),
+        "command": shlex.join(["gsrain", *sys.argv[1:]]),
         "detectors": {
             each.name: {"file": file.name, "sha256": _sha256(file)} for each, file in zip(detectors, files, strict=True)
         },
+        "inputs": source.inputs,
         "frames": [each.name for each in source.frames],
         "size_px": [camera.width, camera.height],
         "seeds": list(range(seeds)),
@@ -92,9 +94,14 @@ def detection_numbers(
         "least_height_px": LEAST_HEIGHT_PX,
         "least_visibility": LEAST_VISIBILITY,
         "backend": backend,
-        "versions": {name: _version(name) for name in _PACKAGES},
+        "versions": package_versions(),
     }
     return DetectionNumbers(rows, scored, distance_scores(rows), robustness_of(scored), settings)
+
+
+def package_versions() -> dict[str, str | None]:
+    """Versions of what pictures and detections hang on."""
+    return {name: version_of(name) for name in _PACKAGES}
 
 
 def print_scores(scored: Sequence[WeatherScore], console: Console) -> None:
@@ -133,10 +140,3 @@ def _change(mean: float, low: float, high: float) -> str:
 def _sha256(file: Path) -> str:
     with file.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _version(package: str) -> str | None:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None

@@ -13,11 +13,12 @@ from gsrain_engine.appearance.views.placed_camera import PlacedCamera
 from gsrain_engine.datasets.capture import Capture, View
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.prepared import prepared
+from gsrain_engine.evaluate.comparison.stamp import stamp
 from gsrain_engine.evaluate.detection.coco_file import read_coco
 from gsrain_engine.evaluate.detection.detector import Detector
 from gsrain_engine.evaluate.detection.frames import JudgedFrame, recorded_frames, scene_frames
 from gsrain_engine.evaluate.detection.pictures import Pictures, Trial, trials_of
-from gsrain_engine.evaluate.detection.sweep import JudgedPicture, judged_pictures
+from gsrain_engine.evaluate.detection.sweep import JudgedPicture, Memory, judged_pictures
 from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import OVERCAST
@@ -25,6 +26,7 @@ from gsrain_engine.render.mounted_camera import mounted_cameras
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sky_color import Sky, sky_color
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.content_hash import file_hash, scene_hash
 from gsrain_engine.scene.open_scene import open_to_draw
 from gsrain_engine.scene.scene import Scene
 
@@ -61,15 +63,19 @@ class PreparedSource:
     frames: list[JudgedFrame]
     frame_rate: float
     """Of a video of them."""
+    inputs: dict[str, str]
+    """What the pictures follow from, by name: hashes of files, of a capture one of names, sizes and times."""
 
     def trials(self, intensities_mm_h: tuple[float, ...], seeds: tuple[int, ...]) -> list[Trial]:
         """All that each view is shown in."""
         originals = all(frame.original is not None for frame in self.frames)
         return trials_of(intensities_mm_h, seeds, originals=originals, scene=not self.pictures.is_in_front)
 
-    def judged(self, detectors: Sequence[Detector], trials: Sequence[Trial]) -> Iterator[JudgedPicture]:
-        """Show each view in each trial to each detector."""
-        return judged_pictures(self.pictures, detectors, self.frames, trials)
+    def judged(
+        self, detectors: Sequence[Detector], trials: Sequence[Trial], memory: Memory | None = None
+    ) -> Iterator[JudgedPicture]:
+        """Show each view in each trial to each detector, except what the memory knows."""
+        return judged_pictures(self.pictures, detectors, self.frames, trials, memory)
 
 
 def base_rain(preset: str | None, exposure_s: float | None) -> Rain:
@@ -107,7 +113,8 @@ def _of_scene(renderer: Renderer, asked: DetectionSource, rain: Rain) -> Prepare
         placed = _placed(scene, asked)
         frames = scene_frames(renderer, scene, placed)
     sky = sky_color(renderer, scene, placed[0].camera, placed[0].time_s)
-    return PreparedSource(scene.name, Pictures(renderer, scene, rain, sky), frames, _frame_rate(placed))
+    inputs = {"scene": scene_hash(asked.source)} | _hashes(asked)
+    return PreparedSource(scene.name, Pictures(renderer, scene, rain, sky), frames, _frame_rate(placed), inputs)
 
 
 def _of_capture(renderer: Renderer, asked: DetectionSource, rain: Rain) -> PreparedSource:
@@ -119,7 +126,14 @@ def _of_capture(renderer: Renderer, asked: DetectionSource, rain: Rain) -> Prepa
     labels = None if asked.truth is None else read_coco(asked.truth)
     frames = recorded_frames(world, placed, capture, labels)
     pictures = Pictures(renderer, world, rain, Sky(OVERCAST, False), is_in_front=True)
-    return PreparedSource(capture.name, pictures, frames, _frame_rate(placed))
+    inputs = {"capture": stamp(Path(str(asked.source)))} | _hashes(asked)
+    return PreparedSource(capture.name, pictures, frames, _frame_rate(placed), inputs)
+
+
+def _hashes(asked: DetectionSource) -> dict[str, str]:
+    """Of what was named beside the source."""
+    found = {} if asked.capture is None else {"capture": stamp(asked.capture)}
+    return found if asked.truth is None else found | {"truth": file_hash(asked.truth)}
 
 
 def _of_view(view: View, world: Scene, capture: Capture, width_px: int) -> PlacedCamera:

@@ -24,6 +24,7 @@ from gsrain_engine.evaluate.report.run_report import ReportTable, RunReport, wri
 from ..arguments import write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar
+from .run_facts import run_facts, set_hash, told_facts, write_beside
 
 _SCREEN = Path("-")
 _COLUMNS = 200
@@ -63,7 +64,9 @@ def fid(
     ] = None,
     seed: Annotated[int, Parameter(help="Same seed, same intervals.")] = 0,
     cache: Annotated[bool, Parameter(help="Keep features of pictures, and use kept ones.")] = True,
-    report: Annotated[Path | None, Parameter(help="Also write a page of HTML.")] = None,
+    report: Annotated[
+        Path | None, Parameter(help="Also write a page of HTML, with the numbers as JSON beside it.")
+    ] = None,
     json: Annotated[
         Path | None,
         Parameter(name="--json", help="Write the numbers to this file; - prints them.", allow_leading_hyphen=True),
@@ -85,17 +88,20 @@ def fid(
     sets = [(folder, _opened(folder)) for folder in (real, *fake)]
     most = max(len(capture) for _, capture in sets)
     times = resamples or max(_RESAMPLES * _MANY // max(most, _MANY), _LEAST_DEFAULT)
-    rows = [row for each in extractors for row in _rows(each, sets, kept, times, seed)]
+    hashes: dict[str, str] = {}
+    rows = [row for each in extractors for row in _rows(each, sets, kept, times, seed, hashes)]
     _print(rows, Console(file=sys.stderr if json == _SCREEN else sys.stdout, width=_COLUMNS, highlight=False))
     settings = {"resamples": times, "seed": seed, "confidence": CONFIDENCE}
-    numbers = {**settings, "rows": [_numbers(row) for row in rows]}
+    facts = run_facts(hashes, ("torch", "onnxruntime"))
+    numbers = {**settings, **facts, "rows": [_numbers(row) for row in rows]}
     if json == _SCREEN:
         print(json_text.dumps(numbers, indent=1))
     else:
         write_numbers(json, numbers)
     if report is not None:
-        write_report(report, _page(rows, settings))
-        print(f"wrote {report}", file=sys.stderr)
+        write_report(report, _page(rows, {**settings, **told_facts(facts)}))
+        beside = write_beside(report, json, numbers)
+        print(f"wrote {report}" + (f", {beside}" if beside else ""), file=sys.stderr)
 
 
 def _check(names: Sequence[str], weights: Path | None, resamples: int | None) -> None:
@@ -123,10 +129,17 @@ def _extractor(choice: ExtractorChoice) -> Extractor:
 
 
 def _rows(
-    extractor: Extractor, sets: Sequence[tuple[Path, Capture]], cache: FeatureCache | None, resamples: int, seed: int
+    extractor: Extractor,
+    sets: Sequence[tuple[Path, Capture]],
+    cache: FeatureCache | None,
+    resamples: int,
+    seed: int,
+    hashes: dict[str, str],
 ) -> list[DistributionDistance]:
+    """Look at all sets and compare them with the first; hashes of their pixels come into `hashes`."""
     with progress_bar("Looking at pictures", sum(len(capture) for _, capture in sets)) as advance:
         looked = [seen(str(folder), capture, extractor, cache, advance) for folder, capture in sets]
+    hashes |= {each.name: set_hash(each.hashes) for each in looked}
     with progress_bar("Resampling", 2 * resamples * (len(sets) - 1)) as advance:
         return [
             compared(extractor, looked[0], each, resamples=resamples, seed=seed, advance=advance) for each in looked[1:]

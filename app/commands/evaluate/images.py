@@ -17,6 +17,8 @@ from gsrain_engine.datasets.capture import View
 from gsrain_engine.datasets.files.picture_file import read_labels
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.other_pictures import pictures_below
+from gsrain_engine.evaluate.comparison.stamp import stamp
+from gsrain_engine.evaluate.distribution.feature_cache import picture_hash
 from gsrain_engine.evaluate.image_metrics import check_pair
 from gsrain_engine.evaluate.mean_interval import MeanInterval, mean_interval
 from gsrain_engine.evaluate.report.comparison import Comparison, Distance
@@ -26,6 +28,7 @@ from ..arguments import write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar
 from .perceived import perceived_distance
+from .run_facts import run_facts, set_hash, told_facts, write_beside
 
 _SCREEN = Path("-")
 _COLUMNS = 120
@@ -47,7 +50,9 @@ def images(
         str | None, Parameter(help="LPIPS too: alex or vgg of this machine's weights, or a file of weights.")
     ] = None,
     seed: Annotated[int, Parameter(help="Same seed, same intervals.")] = 0,
-    report: Annotated[Path | None, Parameter(help="Also write a page of HTML with the pictures.")] = None,
+    report: Annotated[
+        Path | None, Parameter(help="Also write a page of HTML with the pictures, and the numbers as JSON beside it.")
+    ] = None,
     json: Annotated[
         Path | None,
         Parameter(name="--json", help="Write the numbers to this file; - prints them.", allow_leading_hyphen=True),
@@ -66,10 +71,12 @@ def images(
     distance = None if lpips is None else perceived_distance(lpips)
     rows: list[Comparison] = []
     shares: list[float] = []
+    hashes: list[tuple[str, str]] = []
     with progress_bar("Comparing", len(pairs)) as advance:
         for a, b in pairs:
             mask = b.mask if masks is None else _mask(masks, b)
             rows.append(_compared(a, b, mask, distance))
+            hashes.append((picture_hash(a.image), picture_hash(b.image)))
             shares.append(1.0 if mask is None else float(mask.mean()))
             advance()
     left_out = len(first) + len(second) - 2 * len(pairs)
@@ -78,15 +85,26 @@ def images(
     if left_out:
         print(f"{left_out} pictures have no other of their name, and are left out", file=sys.stderr)
     settings = {"pictures": str(shown), "truth": str(truth), "lpips": lpips, "seed": seed, "left_out": left_out}
-    numbers = {**settings, "means": _means(means), "rows": _numbers(rows, shares)}
+    facts = run_facts(_inputs(hashes, shown, truth, masks), ("scikit-image", "torch"))
+    numbers = {**settings, **facts, "means": _means(means), "rows": _numbers(rows, shares)}
     if json == _SCREEN:
         print(json_text.dumps(numbers, indent=1))
     else:
         write_numbers(json, numbers)
     if report is not None:
-        page = RunReport(title="Pictures compared", settings=settings, comparisons=tuple(rows), held_out=False)
-        write_report(report, page)
-        print(f"wrote {report}", file=sys.stderr)
+        told = {**settings, **told_facts(facts)}
+        write_report(
+            report, RunReport(title="Pictures compared", settings=told, comparisons=tuple(rows), held_out=False)
+        )
+        beside = write_beside(report, json, numbers)
+        print(f"wrote {report}" + (f", {beside}" if beside else ""), file=sys.stderr)
+
+
+def _inputs(hashes: Sequence[tuple[str, str]], shown: Path, truth: Path, masks: Path | None) -> dict[str, str]:
+    """Hashes of the pictures that were compared, and of the masks' names, sizes and times."""
+    first, second = (set_hash(each) for each in zip(*hashes, strict=True))
+    found = {f"pictures {shown}": first, f"truth {truth}": second}
+    return found if masks is None else found | {f"masks {masks}": stamp(masks)}
 
 
 def _mask(folder: Path, view: View) -> Mask:

@@ -11,12 +11,14 @@ import msgspec
 from cyclopts import Parameter
 from rich.console import Console
 
+from gsrain_engine.evaluate.comparison.stamp import stamp
 from gsrain_engine.evaluate.lidar.figure import write_figure
 from gsrain_engine.evaluate.lidar.runs import Run, RunCounts, runs
 from gsrain_engine.evaluate.lidar.sensor import SENSORS, LidarSensor
 from gsrain_engine.evaluate.lidar.sweep_file import write_sweep
 from gsrain_engine.evaluate.lidar.sweep_in_rain import Answer
 from gsrain_engine.evaluate.lidar.turns import Turn, capture_turns, scene_turns
+from gsrain_engine.scene.content_hash import file_hash, scene_hash
 
 from ..arguments import write_numbers
 from ..outputs import check_writable
@@ -24,6 +26,7 @@ from ..progress import progress_bar
 from ..sources import names_scene
 from .lidar_numbers import lidar_report, print_lidar, write_lidar_table
 from .lidar_page import write_lidar_page
+from .run_facts import run_facts
 
 _SCREEN = Path("-")
 _COLUMNS = 130
@@ -95,17 +98,26 @@ def lidar(
     if shown is None:
         raise ValueError(f"{source}: no turn of a lidar came of it")
     write_figure(output / "lidar.png", shown, by_intensity)
-    report = lidar_report(by_intensity, shown.turn.sensor, source=source, answer=answer, wet_road=wet_road)
+    facts = run_facts(_inputs(source, sensor), ("numba",))
+    asked = {"source": source, "seeds": list(range(seeds)), "answer": answer, "wet_road": wet_road}
+    report = lidar_report(by_intensity, shown.turn.sensor, **asked, **facts)
     write_lidar_table(output / "lidar.csv", report["rows"])
+    write_numbers(output / "lidar.json", report)
     write_lidar_page(output / "report.html", output / "lidar.png", by_intensity, report)
     console = Console(file=sys.stderr if json == _SCREEN else sys.stdout, width=_COLUMNS, highlight=False)
     print_lidar(by_intensity, shown.turn.sensor, console)
-    what = "lidar.png, lidar.csv, report.html" + (", sweeps/" if write_sweeps else "")
+    what = "lidar.png, lidar.csv, lidar.json, report.html" + (", sweeps/" if write_sweeps else "")
     console.print(f"wrote {output}: {what}", soft_wrap=True)
     if json == _SCREEN:
         print(json_text.dumps(report, indent=1))
     else:
         write_numbers(json, report)
+
+
+def _inputs(source: str, sensor: str) -> dict[str, str]:
+    """Hashes of a scene's bytes, or over names, sizes and times of a capture; of a file of a sensor."""
+    found = {source: scene_hash(source) if names_scene(source) else stamp(Path(source))}
+    return found if sensor in SENSORS else found | {sensor: file_hash(Path(sensor))}
 
 
 def _turns(

@@ -12,6 +12,8 @@ from PIL import Image
 from gsrain_engine.evaluate.lidar.runs import RunCounts
 from gsrain_engine.evaluate.report.run_report import Figure, ReportTable, RunReport, write_report
 
+from .run_facts import told_facts
+
 _NOTES = (
     "False returns hang on the sensor's least reflectance near by, which makers don't state.",
     "Spreads are those of the drops: they say nothing of other places.",
@@ -24,7 +26,9 @@ def write_lidar_page(
     """Write the page; `report` is what `lidar_report` gives, `figure` the picture to show first."""
     with Image.open(figure) as opened:
         pixels = np.asarray(opened.convert("RGB"))
-    settings = {name: value for name, value in report.items() if name not in ("sensor", "rows")}
+    told = told_facts(report)
+    settings = {name: value for name, value in report.items() if name not in ("sensor", "rows", "versions", "inputs")}
+    settings |= told
     runs = len(next(iter(by_intensity.values())))
     write_report(
         file,

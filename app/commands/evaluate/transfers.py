@@ -24,6 +24,7 @@ from gsrain_engine.evaluate.distribution.extractors import open_extractor
 from gsrain_engine.evaluate.distribution.feature_cache import FeatureCache
 from gsrain_engine.evaluate.report.run_report import write_report
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.scene.content_hash import scene_hash
 from gsrain_engine.session.jobs.torch_extra import require_torch
 from gsrain_engine.shipped_configs import shipped_names
 
@@ -31,6 +32,7 @@ from ..arguments import write_numbers
 from ..outputs import check_writable
 from ..progress import followed
 from ..sources import names_scene
+from .run_facts import run_facts, told_facts
 from .transfers_page import print_transfers, transfers_page
 
 _SCREEN = Path("-")
@@ -109,11 +111,24 @@ def _opened(told: Comparison) -> tuple[ComparedSource, Capture]:
     return capture_source(capture, told.width_px, stamp(Path(told.source))), real
 
 
+def _inputs(told: Comparison, source: ComparedSource) -> dict[str, str]:
+    """Hash of a scene's bytes; for all else those over names, sizes and times of the files."""
+    is_scene = told.source is not None and names_scene(told.source)
+    found = {"clear views": scene_hash(told.source) if is_scene else source.stamp}
+    rainy = told.real if told.pictures is None else [Path(each.path) for each in told.pictures.rainy]
+    files: dict[str, Path | None] = {f"real pictures {path}": Path(path) for path in rainy}
+    files |= {"capture": told.capture, "weights of the extractor": told.extractor_weights}
+    for each in told.methods:
+        files |= {f"{name} of {each.name}": getattr(each, name) for name in ("weights", "images", "base")}
+    return found | {name: stamp(path) for name, path in files.items() if path is not None}
+
+
 def _numbers(
     name: str, told: Comparison, source: ComparedSource, real: Capture, result: ComparisonResult
 ) -> dict[str, Any]:
     return {
         "gsrain": version("gsrain"),
+        **run_facts(_inputs(told, source), ("torch", "diffusers", "onnxruntime")),
         "comparison": name,
         "source": source.name,
         "views": len(source.views),
@@ -145,5 +160,5 @@ def _write(
             beside.write_text(text, encoding="utf-8")
     with whole_file(output / "figure.png") as beside:
         Image.fromarray(result.figure).save(beside, "png")
-    facts = {"views": f"{len(source.views)} of {source.name}", "real pictures": len(real)}
+    facts = {"views": f"{len(source.views)} of {source.name}", "real pictures": len(real), **told_facts(numbers)}
     write_report(output / "report.html", transfers_page(result, told, facts))

@@ -29,7 +29,7 @@ def vehicle_pixels(
     """
     labels = view.labels
     if labels is not None:
-        return labels == Label.CAR
+        return (labels == Label.CAR) | (labels == Label.TRUCK)
     shown = np.zeros(depth.shape, np.bool_)
     for box in boxes:
         outline = box_outline(view, box) if is_vehicle(box.class_name) else np.zeros((0, 2))

@@ -1,49 +1,85 @@
-"""What of a scene's background can be driven into: cells of space that hold solid Gaussians. World frame, metres."""
+"""What of a scene's background can be driven into: pillars of space that something solid stands in. World, metres."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float64
-from scipy.spatial import KDTree
+from jaxtyping import Bool, Float64, Int64
 
 from gsrain_engine.scene.scene import Scene
 
 from .ground import Ground
 from .planar_box import PlanarBox
+from .recorded_places import BESIDE_M, recorded_places
+from .solid_pieces import Reach, Slab, solid_pieces
 
-_SOLID = 0.8
-_LOW_M, _HIGH_M = 0.3, 1.5
-_MANY = 100
+LOW_M, HIGH_M = 0.3, 1.5
+"""Heights above the ground between which a car's body is: kerbs are lower, crowns of trees and signs higher."""
+CELL_M = 0.1
+POST_M = 0.08
+"""Something is in the way if it shows from the side what a post of this width does over the whole height, and does so
+within three cells by three: thin posts are found, single Gaussians that float about are not."""
+_SHIFT = np.int64(1) << 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OccupiedSpace:
-    """Places of solid Gaussians at the height of a car's body."""
+    """The cells, seen from above, in which something stands at the height of a car's body."""
 
-    places: Float64[np.ndarray, "n 2"]
-    _tree: KDTree
+    keys: Int64[np.ndarray, " n"]
+    """Of the cells, rising: the number of the cell along x times 2^32 plus that along y."""
+
+    @property
+    def places(self) -> Float64[np.ndarray, "n 2"]:
+        """Middles of the cells."""
+        y = (self.keys + _SHIFT // 2) % _SHIFT - _SHIFT // 2
+        return (np.stack([(self.keys - y) // _SHIFT, y], axis=1) + 0.5) * CELL_M
 
     def touches(self, box: PlanarBox) -> bool:
-        """Whether a box on the ground holds more than a hundred of them (HUGSIM's rule)."""
-        near = self._tree.query_ball_point((box.x_m, box.y_m), np.hypot(box.length_m, box.width_m) / 2)
-        away = self.places[near] - (box.x_m, box.y_m)
-        cosine, sine = np.cos(box.yaw_rad), np.sin(box.yaw_rad)
-        along, across = away @ (cosine, sine), away @ (-sine, cosine)
-        inside = (np.abs(along) <= box.length_m / 2) & (np.abs(across) <= box.width_m / 2)
-        return int(inside.sum()) > _MANY
+        """Whether a box on the ground reaches into one of them."""
+        return bool(self.holds(box.lattice(0.7 * CELL_M)).any())
+
+    def holds(self, places: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+        """Which places lie in one of them."""
+        if not len(self.keys):
+            return np.zeros(len(places), np.bool_)
+        wanted = cell_keys(places, CELL_M)
+        at = np.searchsorted(self.keys, wanted)
+        return self.keys[np.minimum(at, len(self.keys) - 1)] == wanted
 
 
+@lru_cache(maxsize=2)
 def occupied_space_of(scene: Scene, ground: Ground) -> OccupiedSpace:
-    """Find what stands in a scene, its actors aside."""
-    found = [np.zeros((0, 2))]
-    for layer in scene.layers:
-        if layer.kind == "sky" or not layer.visible:
-            continue
-        part = scene.part(layer)
-        assert part is not None
-        solid = part.remaining
-        means = solid.means[solid.opacities > _SOLID] @ part.to_world[:3, :3].T + part.to_world[:3, 3]
-        height = means[:, 2] - ground.height_m(0.0, 0.0)
-        found.append(means[(height > _LOW_M) & (height < _HIGH_M), :2].astype(np.float64))
-    places = np.concatenate(found)
-    return OccupiedSpace(places, KDTree(places))
+    """Find what stands in a scene, its actors aside, as far beside its drive as the ground is known; keeps two scenes'.
+
+    The areas that solid Gaussians between knee and roof show from the side are added up in cells, so it does not matter
+    of how many a thing is made (HUGSIM counts Gaussians: more than a hundred of opacity over 0.8).
+    """
+    drive = recorded_places(scene)
+    if not len(drive):
+        drive = np.zeros((1, 3))
+    spot = np.array([BESIDE_M, BESIDE_M, 0.0])
+    lowest, highest = float(ground.grid.heights_m.min()), float(ground.grid.heights_m.max())
+    low, high = drive.min(axis=0) - spot, drive.max(axis=0) + spot
+    low[2], high[2] = lowest + LOW_M, highest + HIGH_M
+    pieces = solid_pieces(scene, Reach(low, high, Slab(ground.grid, LOW_M, HIGH_M)), CELL_M)
+    keys, owner = np.unique(cell_keys(pieces.places[:, :2], CELL_M), return_inverse=True)
+    area = np.bincount(owner.ravel(), pieces.side_m2, len(keys)).astype(np.float64)
+    return OccupiedSpace(keys[_around(keys, area) >= POST_M * (HIGH_M - LOW_M)])
+
+
+def cell_keys(places: Float64[np.ndarray, "n 2"], cell_m: float) -> Int64[np.ndarray, " n"]:
+    """Number the square cells of the plane: rising with x, then with y."""
+    x, y = np.floor(places / cell_m).astype(np.int64).T
+    return x * _SHIFT + y
+
+
+def _around(keys: Int64[np.ndarray, " n"], values: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    """Sum what is in each cell and its eight neighbours."""
+    total = np.zeros(len(keys))
+    for x in (-1, 0, 1):
+        for y in (-1, 0, 1):
+            wanted = keys + x * _SHIFT + y
+            at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+            total += np.where(keys[at] == wanted, values[at], 0.0)
+    return total

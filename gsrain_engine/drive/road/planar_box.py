@@ -31,6 +31,23 @@ class PlanarBox:
         """The rectangle for shapely."""
         return shapely.Polygon(self.corners)
 
+    def lattice(self, step_m: float) -> Float64[np.ndarray, "n 2"]:
+        """Return places all over the rectangle, its edges among them, at most so far apart along each side."""
+        along, across = (
+            np.linspace(-side / 2, side / 2, int(np.ceil(side / step_m)) + 1) for side in (self.length_m, self.width_m)
+        )
+        cosine, sine = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        x = self.x_m + cosine * along[:, None] - sine * across
+        y = self.y_m + sine * along[:, None] + cosine * across
+        return np.stack([x.ravel(), y.ravel()], axis=1)
+
+    def part(self, rear: int, right: int) -> "PlanarBox":
+        """Return a quarter of the rectangle: the front (0) or rear (1), left (0) or right (1) one."""
+        forward, left = (0.5 - rear) * self.length_m / 2, (0.5 - right) * self.width_m / 2
+        cosine, sine = float(np.cos(self.yaw_rad)), float(np.sin(self.yaw_rad))
+        x, y = self.x_m + cosine * forward - sine * left, self.y_m + sine * forward + cosine * left
+        return PlanarBox(x, y, self.yaw_rad, self.length_m / 2, self.width_m / 2)
+
     def touches(self, other: "PlanarBox") -> bool:
         """Whether two rectangles overlap or share a point."""
         reach = np.hypot(self.length_m, self.width_m) + np.hypot(other.length_m, other.width_m)

@@ -1,6 +1,7 @@
 """The way that the ego vehicle is to take: a line on the ground, by distance. World frame, metres."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ class OnRoute(NamedTuple):
     """Distance from the route, left positive."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Route:
     """A line of two points or more, none doubled; straight on before its first and after its last."""
 
@@ -57,7 +58,7 @@ class Route:
         """Return points from a distance on, evenly spaced."""
         return np.array([self.at(along_m + s)[:2] for s in np.arange(0.0, reach_m + step_m / 2, step_m)])
 
-    @property
+    @cached_property
     def _along(self) -> Float64[np.ndarray, " n"]:
         return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
 

@@ -23,8 +23,8 @@ class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         str,
         Meta(
             title="Model",
-            description="What it looks like: hatchback, saloon, estate or van (built in), actor:ID (one of the "
-            "scene), or a file of Gaussians in the object frame (x forward, y left, z up, origin at the bottom).",
+            description="What it looks like: hatchback, saloon, estate, van or truck, with a paint if wanted "
+            "(van/red); actor:ID (one of the scene); or a file of Gaussians (metres, x forward, y left, z up).",
         ),
     ] = "saloon"
     class_name: Annotated[str, Meta(title="Class")] = "car"
@@ -32,6 +32,11 @@ class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         tuple[float, float, float] | None,
         Meta(title="Size", description="Length, width and height; none takes the model's.", extra={"unit": "m"}),
     ] = None
+    placed: Annotated[
+        Literal["along-route", "straight"],
+        Meta(title="Measured", description="Along the ego vehicle's route, or straight from where it starts and as "
+             "it is turned there."),
+    ] = "along-route"  # fmt: skip
     ahead_m: Annotated[
         float,
         Meta(ge=-500, le=500, title="Ahead", description="From the ego vehicle's middle to its middle, at the start.",
@@ -39,12 +44,13 @@ class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     ] = 0.0  # fmt: skip
     left_m: Annotated[
         float,
-        Meta(ge=-100, le=100, title="Left", description="Of the ego vehicle's route.", extra={"unit": "m"}),
-    ] = 0.0
+        Meta(ge=-100, le=100, title="Left", description="Of the ego vehicle's route; straight: of itself.",
+             extra={"unit": "m"}),
+    ] = 0.0  # fmt: skip
     turned_deg: Annotated[
         float,
-        Meta(ge=-180, le=180, title="Turned", description="From the route's direction, to the left.",
-             extra={"unit": "deg"}),
+        Meta(ge=-180, le=180, title="Turned", description="To the left, from the route's direction; straight: from "
+             "the ego vehicle's.", extra={"unit": "deg"}),
     ] = 0.0  # fmt: skip
     speed_m_s: Annotated[float, Meta(ge=0, le=60, title="Speed", extra={"unit": "m/s"})] = 0.0
     behaviour: BehaviourSettings
@@ -62,10 +68,25 @@ class ControllerSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         Meta(
             title="Heading reference",
             description="Heading that the tracker wants: the plan's own, or HUGSIM's published arctan2 of swapped "
-            "arguments, to reproduce its numbers.",
+            "arguments, with all else as published too, to reproduce its numbers.",
         ),
     ] = "tangent"
     iterations: Annotated[int, Meta(ge=1, le=1000, title="Iterations")] = 100
+    most_acceleration_m_s2: Annotated[
+        float,
+        Meta(gt=0, le=20, title="Most acceleration", description="That the tracker asks for; nuPlan's.",
+             extra={"unit": "m/s2"}),
+    ] = 3.0  # fmt: skip
+    most_braking_m_s2: Annotated[
+        float,
+        Meta(
+            gt=0,
+            le=20,
+            title="Most braking",
+            description="That the tracker asks for, whatever the vehicle could do; nuPlan's and HUGSIM's is 3.",
+            extra={"unit": "m/s2"},
+        ),
+    ] = 3.0
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -85,7 +106,15 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Meta(title="Start", description="Scene time at which it begins: the ego vehicle starts where it then was.",
              extra={"unit": "s"}),
     ] = 0.0  # fmt: skip
+    ahead_m: Annotated[
+        float, Meta(ge=-500, le=500, title="Ahead of there", description="Along the route.", extra={"unit": "m"})
+    ] = 0.0
     left_m: Annotated[float, Meta(ge=-20, le=20, title="Left of the route", extra={"unit": "m"})] = 0.0
+    turned_deg: Annotated[
+        float,
+        Meta(ge=-180, le=180, title="Turned", description="From the route's direction, to the left.",
+             extra={"unit": "deg"}),
+    ] = 0.0  # fmt: skip
     speed_m_s: Annotated[float, Meta(ge=0, le=60, title="Initial speed", extra={"unit": "m/s"})] = 10.0
     keep: Annotated[
         tuple[str, ...] | Literal["all"],
@@ -117,8 +146,12 @@ def scenario_names() -> list[str]:
 
 
 def load_scenario(name: str | Path) -> Scenario:
-    """Load a shipped scenario by name, or a scenario file by path.
+    """Load a shipped scenario by name, or a scenario file by path: ours, HUGSIM's, or OpenSCENARIO XML.
 
     Raises ValueError with the file, the field and what is allowed.
     """
+    if str(name) not in scenario_names() and Path(name).is_file():
+        from .scenario_files import read_scenario  # its readers make scenarios
+
+        return read_scenario(Path(name))
     return load_config(_FOLDER, name, Scenario, "scenario")

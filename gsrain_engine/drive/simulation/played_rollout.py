@@ -6,10 +6,10 @@ import msgspec
 import numpy as np
 from jaxtyping import Float64
 
-from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.scene import RigCamera, Scene
 
 from ..agents.observation import Rig
-from ..road.ground import SENSOR_HEIGHT_M
+from ..road.ground import ground_of
 from ..scenario.scenario import Scenario
 from ..traffic.models import user_look
 from ..traffic.road_user import RoadUser
@@ -32,10 +32,8 @@ class PlayedRollout:
         except msgspec.ValidationError as error:
             raise ValueError(f"the roll-out's scenario: {error}") from None
         self.rollout = rollout
-        cameras = tuple(
-            of_width(each, self.scenario.picture_width_px) for each in rig_cameras(scene, self.scenario.rig)
-        )
-        self.rig = Rig(self.scenario.vehicle, cameras, SENSOR_HEIGHT_M)
+        cameras = tuple(of_width(each, self.scenario.picture_width_px) for each in _cameras(scene, self.scenario.rig))
+        self.rig = Rig(self.scenario.vehicle, cameras, ground_of(scene).rig_height_m)
         self._road = RoadScene(scene, {user.id: user_look(user.model, scene) for user in self.scenario.road_users})
         self._times = [step.time_s for step in rollout.steps]
 
@@ -93,6 +91,11 @@ class PlayedRollout:
         span = self._times[upper] - self._times[lower]
         part = float(np.clip((time_s - self._times[lower]) / span, 0, 1)) if span > 0 else 0.0
         return self.rollout.steps[lower], self.rollout.steps[upper], part
+
+
+def _cameras(scene: Scene, rig: str | None) -> tuple[RigCamera, ...]:
+    """Return the rig that was driven with; the scene's first where it was made for the drive alone."""
+    return rig_cameras(scene, rig if rig in scene.rigs else None)
 
 
 def _mixed(before: float, after: float, part: float) -> float:

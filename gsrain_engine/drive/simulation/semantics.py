@@ -15,7 +15,7 @@ _OF_CLASS = {
 }  # fmt: skip
 _OF_LAYER = {
     "road": 0, "ground": 0, "pavements": 1, "sidewalk": 1, "houses": 2, "buildings": 2, "surroundings": 2,
-    "furniture": 5, "trees": 8, "vegetation": 8, "sky": 10, "parked cars": 13,
+    "furniture": 5, "trees": 8, "vegetation": 8, "sky": 10, "parked cars": 13, "parked trucks": 14,
 }  # fmt: skip
 """Names of layers that say what they show; those of the built-in street among them."""
 

@@ -1,6 +1,7 @@
 """The loop of a drive: observe, plan, steer, move everybody, look what was hit. Deterministic, step by step."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -11,11 +12,12 @@ from gsrain_engine.scene.scene import Scene
 
 from ..agents.agent import NOTHING, SPACING_S, Needs, Plan
 from ..agents.observation import Observation, Rig
-from ..road.ground import SENSOR_HEIGHT_M, ground_of
+from ..road.ground import ground_of
 from ..road.occupied_space import OccupiedSpace, occupied_space_of
 from ..road.planar_box import PlanarBox
 from ..road.route import OnRoute, Route, recorded_route
 from ..scenario.scenario import Scenario
+from ..scenario.start import start_state
 from ..traffic.road_user import RoadUser
 from ..vehicle.bicycle import limited, moved_on
 from ..vehicle.controllers import open_controller
@@ -52,18 +54,24 @@ class Simulation:
         self._needs, self._renderer = needs, renderer
         cameras = tuple(of_width(each, scenario.picture_width_px) for each in rig_cameras(scene, scenario.rig))
         self._shown = needed_cameras(cameras, needs)
-        self.rig = Rig(scenario.vehicle, cameras, SENSOR_HEIGHT_M)
+        self.rig = Rig(scenario.vehicle, cameras, self.ground.rig_height_m)
         self._controller = open_controller(scenario.controller)
         self._traffic = Traffic(self.scenario, scene, self.route, self.ground)
         self._road = RoadScene(scene, self._traffic.looks)
         self._pictures: RigPictures | None = None
         self._moment = self._start()
+        start = self._moment.state
+        self._begins_m = self.route.nearest(start.x_m, start.y_m).along_m
         self.end: str | None = None
         """Why the drive is over; none while it goes on."""
         self._steps: list[RolloutStep] = []
 
-    def reset(self) -> Observation:
-        """Begin the drive anew."""
+    def reset(self, seed: int | None = None) -> Observation:
+        """Begin the drive anew; with other drops where a seed is given."""
+        if seed is not None:
+            self.seed = seed
+            rain = msgspec.structs.replace(self.scenario.rain, seed=seed)
+            self.scenario = msgspec.structs.replace(self.scenario, rain=rain)
         self._controller.reset()
         self._traffic.reset()
         if self._renderer is not None and self._shown:
@@ -127,7 +135,7 @@ class Simulation:
         if not steps or steps[-1].step != self._moment.step:
             steps.append(self._recorded(None))
         return Rollout(
-            scenario=msgspec.to_builtins(self.scenario),
+            scenario=_plain(self.scenario),
             scene=self.scene.name,
             agent=agent,
             seed=self.seed,
@@ -140,12 +148,7 @@ class Simulation:
         )  # fmt: skip
 
     def _start(self) -> "_Moment":
-        pose = self.scene.ego_to_world(self.scenario.start_s)
-        if pose is None:
-            raise ValueError(f"scene {self.scene.name!r} has no ego vehicle at {self.scenario.start_s:g} s")
-        along = self.route.nearest(float(pose[0, 3]), float(pose[1, 3])).along_m
-        x, y, yaw = self.route.at(along, self.scenario.left_m)
-        return _Moment(0, 0.0, VehicleState(x, y, yaw, self.scenario.speed_m_s), _STANDING)
+        return _Moment(0, 0.0, start_state(self.scenario, self.scene, self.route), _STANDING)
 
     def _judge(self) -> None:
         """Say whether the drive is over at the present moment, and why."""
@@ -185,16 +188,26 @@ class Simulation:
             route_left_m=self._on_route.left_m,
             route_completion=self._completion,
             collision=self._hit,
-            notes={} if plan is None else plan.notes,
+            notes={} if plan is None else _plain(plan.notes),
         )  # fmt: skip
 
     @property
     def _hit(self) -> str | None:
         box = vehicle_box(self.scenario.vehicle, self._moment.state)
+        foot = self.ground.height_m(box.x_m, box.y_m)
+        top = foot + self.scenario.vehicle.height_m
         for user in self._traffic.users:
-            if box.touches(user.box):
+            is_over_or_under = user.z_m >= top or user.z_m + user.size_lwh[2] <= foot
+            if not is_over_or_under and box.touches(user.box):
                 return user.id
-        return BACKGROUND if self.occupied.touches(box) else None
+        return BACKGROUND if self.occupied.touches(self._since_last(box)) else None
+
+    def _since_last(self, box: PlanarBox) -> PlanarBox:
+        """Return the vehicle's box, so long that a fast one leaves no gap to where it was a step ago."""
+        gone = self._moment.state.speed_m_s * self.scenario.step_s if self._moment.step else 0.0
+        more = max(gone - box.length_m, 0.0)
+        x, y = box.x_m - more / 2 * np.cos(box.yaw_rad), box.y_m - more / 2 * np.sin(box.yaw_rad)
+        return PlanarBox(float(x), float(y), box.yaw_rad, box.length_m + more, box.width_m)
 
     @property
     def _on_route(self) -> OnRoute:
@@ -202,8 +215,7 @@ class Simulation:
 
     @property
     def _completion(self) -> float:
-        start = self.route.nearest(self._start().state.x_m, self._start().state.y_m).along_m
-        ahead = self.route.length_m - start
+        start, ahead = self._begins_m, self.route.length_m - self._begins_m
         return float(np.clip((self._on_route.along_m - start) / ahead, 0.0, 1.0)) if ahead > 0 else 1.0
 
     def _yaw_rate(self, state: VehicleState) -> float:
@@ -230,3 +242,8 @@ def vehicle_box(vehicle: Vehicle, state: VehicleState) -> PlanarBox:
     x = state.x_m + vehicle.middle_m * np.cos(state.yaw_rad)
     y = state.y_m + vehicle.middle_m * np.sin(state.yaw_rad)
     return PlanarBox(float(x), float(y), state.yaw_rad, vehicle.length_m, vehicle.width_m)
+
+
+def _plain(value: object) -> dict[str, Any]:
+    """Return a value as a file gives it back."""
+    return msgspec.json.decode(msgspec.json.encode(value))

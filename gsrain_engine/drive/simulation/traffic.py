@@ -1,13 +1,12 @@
 """Everybody else on the road during a drive: put in place, and moved on step by step."""
 
-import numpy as np
-
 from gsrain_engine.scene.members import Actor
 from gsrain_engine.scene.scene import Scene
 
 from ..road.ground import Ground
 from ..road.route import Route
 from ..scenario.scenario import Scenario, ScenarioUser
+from ..scenario.start import start_place
 from ..traffic.behaviour import Behaviour, Surroundings
 from ..traffic.models import UserLook, user_look
 from ..traffic.recorded_track import RecordedTrack
@@ -34,8 +33,9 @@ class Traffic:
         self.everybody = ()
         self._rules, self._present = {}, {}
         for user in self._scenario.road_users:
-            self._rules[user.id] = user.behaviour.begin(self._scene, self._scenario.start_s)
-            self._present[user.id] = self._placed(user)
+            rule = self._rules[user.id] = user.behaviour.begin(self._scene, self._scenario.start_s)
+            begins = rule.start(self._placed(user))
+            self._present[user.id] = begins if begins is None else self._grounded(begins, user.id)
         for actor in self._kept:
             track = RecordedTrack(self._scene, actor, self._scenario.start_s)
             self._rules[actor.id], self._present[actor.id] = track, track.at(0.0)
@@ -58,14 +58,9 @@ class Traffic:
 
     def _placed(self, user: ScenarioUser) -> RoadUser:
         """Put a road user where the scenario says, measured from the ego vehicle's middle at the start."""
-        pose = self._scene.ego_to_world(self._scenario.start_s)
-        assert pose is not None
-        start = self._route.nearest(float(pose[0, 3]), float(pose[1, 3])).along_m
-        along = start + self._scenario.vehicle.middle_m + user.ahead_m
-        x, y, heading = self._route.at(along, user.left_m)
+        x, y, yaw = start_place(user, self._scenario, self._scene, self._route)
         size = user.size_lwh_m or self.looks[user.id].size_lwh_m
-        yaw = heading + np.radians(user.turned_deg)
-        return self._grounded(RoadUser(user.id, user.class_name, size, x, y, float(yaw), user.speed_m_s), user.id)
+        return RoadUser(user.id, user.class_name, size, x, y, yaw, user.speed_m_s)
 
     def _grounded(self, user: RoadUser, id: str) -> RoadUser:
         """Stand a road user on the ground; a recorded one stays at its own height."""
@@ -78,7 +73,7 @@ class Traffic:
 
 def _kept(scenario: Scenario, scene: Scene) -> tuple[Actor, ...]:
     actors = {actor.id: actor for actor in scene.actors}
-    names = tuple(actors) if scenario.keep == "all" else scenario.keep
+    names = tuple(id for id, actor in actors.items() if actor.visible) if scenario.keep == "all" else scenario.keep
     for name in names:
         if name not in actors:
             known = ", ".join(actors) or "none"

@@ -24,6 +24,10 @@ class Surroundings:
 class Behaviour(Protocol):
     """Moves one road user. Deterministic: it knows the surroundings and what it did before, no clock and no chance."""
 
+    def start(self, placed: RoadUser) -> RoadUser | None:
+        """Return where it is at the beginning: where the scenario places it, if it has no place of its own."""
+        ...
+
     def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
         """Return where it is a time later; None while it is not there, before it comes and after it has gone."""
         ...

@@ -22,6 +22,9 @@ class ConstantVelocity(
 
 
 class _StraightOn:
+    def start(self, placed: RoadUser) -> RoadUser | None:
+        return placed
+
     def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
         if me is None:
             return None

@@ -20,6 +20,10 @@ class RecordedTrack:
         """Follow one actor."""
         self._scene, self._actor, self._start_s = scene, actor, start_s
 
+    def start(self, placed: RoadUser) -> RoadUser | None:
+        """Return where it was recorded at the beginning, wherever it is placed."""
+        return self.at(0.0)
+
     def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
         """Return where it was recorded at that time."""
         return self.at(around.time_s + dt_s)
@@ -29,16 +33,26 @@ class RecordedTrack:
         pose = self._pose(time_s)
         if pose is None:
             return None
-        before, after = self._pose(time_s - _STEP_S), self._pose(time_s + _STEP_S)
         forward = pose[:2, 0] / np.linalg.norm(pose[:3, 0])
-        speed = 0.0
-        if before is not None and after is not None:
-            speed = float((after[:2, 3] - before[:2, 3]) @ forward) / (2 * _STEP_S)
+        speed = self._speed(time_s, forward)
         unit = self._scene.metres_per_unit
         length, width, height = (unit * side for side in self._actor.size_lwh)
         yaw = float(np.arctan2(forward[1], forward[0]))
         x, y, z = (float(value) for value in pose[:3, 3])
         return RoadUser(self._actor.id, self._actor.class_name, (length, width, height), x, y, yaw, max(speed, 0.0), z)
+
+    def _speed(self, time_s: float, forward: Float64[np.ndarray, "2"]) -> float:
+        """Speed along a direction: between places shortly before and after, as far as the track reaches."""
+        first, last = self._actor.track.times[[0, -1]] - self._start_s
+        begin, end = max(time_s - _STEP_S, float(first)), min(time_s + _STEP_S, float(last))
+        before, after = self._pose(begin), self._pose(end)
+        if before is None:
+            begin, before = time_s, self._pose(time_s)
+        if after is None:
+            end, after = time_s, self._pose(time_s)
+        if before is None or after is None or end - begin < _STEP_S / 2:
+            return 0.0
+        return float((after[:2, 3] - before[:2, 3]) @ forward) / (end - begin)
 
     def _pose(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
         way = self._actor.way(self._start_s + time_s)

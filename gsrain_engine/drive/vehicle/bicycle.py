@@ -37,3 +37,8 @@ def moved_on(vehicle: Vehicle, state: VehicleState, control: Control, dt_s: floa
         float(max(0.0, state.speed_m_s + control.acceleration_m_s2 * dt_s)),
         float(state.steer_rad + control.steer_rate_rad_s * dt_s),
     )
+
+
+def yaw_rate(vehicle: Vehicle, state: VehicleState) -> float:
+    """Return how fast a vehicle turns to the left, rad/s: v tan(steer) / wheelbase."""
+    return float(state.speed_m_s * np.tan(state.steer_rad) / vehicle.wheelbase_m)

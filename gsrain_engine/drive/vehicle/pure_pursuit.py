@@ -9,7 +9,9 @@ from .vehicle import Vehicle
 _SHORTEST_M, _AHEAD_S = 4.0, 1.0
 """The point that is steered for is so far ahead, or so many seconds at the present speed."""
 _SETTLE_S = 0.5
-"""Time in which speed and steering are to reach what they should be."""
+"""Time in which the steering is to reach what it should be."""
+_SPEED_POINTS = 2
+"""The acceleration is the one that leads to the plan's second point: one second ahead, so that noise matters less."""
 
 
 class PurePursuit:
@@ -24,8 +26,9 @@ class PurePursuit:
         """Return what to do now; see `Controller`."""
         points = np.concatenate([np.zeros((1, 2)), plan])
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        speed = float(along[1]) / spacing_s  # the plan's mean over its first spacing
-        acceleration = (speed - state.speed_m_s) / _SETTLE_S
+        point = min(_SPEED_POINTS, len(plan))
+        time_s = point * spacing_s
+        acceleration = 2 * (float(along[point]) - state.speed_m_s * time_s) / time_s**2
         reach = max(_SHORTEST_M, _AHEAD_S * state.speed_m_s)
         ahead = np.array([np.interp(reach, along, points[:, axis]) for axis in range(2)])
         distance2 = float(ahead @ ahead)

@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
+from itertools import cycle
 from typing import Literal, TypeVar
 
 import matplotlib
@@ -24,6 +25,9 @@ _WORDS = {
     "map": "mAP",
     "map50": "mAP50",
 }
+
+_MEANS = ("--", ":", "-.", (0, (1, 3)))
+"""Lines of the means: over all objects, then by class."""
 
 _Seeds = dict[int, list[float]]
 _Line = TypeVar("_Line", Row, WeatherScore)
@@ -107,11 +111,16 @@ def _curve(panel: Axes, rows: Sequence[Row], number: str, color: object, label: 
 
 
 def _everything(panel: Axes, rows: Sequence[Row], number: str) -> None:
-    """The mean over all objects, in black."""
-    intensities, spreads = _over_seeds(_one_without_rain(rows), number)
-    objects = len({row.object for row in rows})
-    means = [each.mean for each in spreads]
-    panel.plot(intensities, means, "--", color="black", linewidth=1.6, label=f"mean of all {objects} objects")
+    """The mean over all objects, in black; where there are several classes, also that over each."""
+    classes = sorted({row.class_name for row in rows})
+    groups = {"object": list(rows)}
+    if len(classes) > 1:
+        groups |= {name: [row for row in rows if row.class_name == name] for name in classes}
+    for (name, own), style in zip(groups.items(), cycle(_MEANS)):
+        intensities, spreads = _over_seeds(_one_without_rain(own), number)
+        many = len({row.object for row in own})
+        label = f"mean of {many} {name}{'s' if many > 1 else ''}"
+        panel.plot(intensities, [each.mean for each in spreads], style, color="black", linewidth=1.6, label=label)
 
 
 def _one_without_rain(lines: Sequence[_Line]) -> list[_Line]:

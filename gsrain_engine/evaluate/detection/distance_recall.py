@@ -7,8 +7,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-_Z95 = 1.959963984540054
-"""The normal distribution's quantile of 0.975."""
+from ..share_interval import share_interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +30,7 @@ class DistanceRecall:
 
         Holds for objects seen independently: frames of one drive are not, it is then too narrow.
         """
-        n, z2 = self.objects, _Z95**2
-        if not n:
-            return 0.0, 1.0
-        middle = (self.found + z2 / 2) / (n + z2)
-        half = _Z95 / (n + z2) * (self.found * (n - self.found) / n + z2 / 4) ** 0.5
-        return max(0.0, middle - half), min(1.0, middle + half)
+        return share_interval(self.found, self.objects)
 
 
 def recall_by_distance(

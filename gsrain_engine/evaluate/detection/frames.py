@@ -36,7 +36,7 @@ class JudgedFrame:
 
 
 def scene_frames(renderer: Renderer, scene: Scene, placed: Sequence[PlacedCamera]) -> list[JudgedFrame]:
-    """Views of a scene whose own actors (and parked cars) are to be found.
+    """Views of a scene whose own actors (and parked vehicles) are to be found.
 
     Raises ValueError for a scene in which nothing has a class.
     """

@@ -1,7 +1,8 @@
 """Detectors over views, rains and seeds: each picture is made once and shown to all of them."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -50,20 +51,53 @@ class JudgedPicture:
 
     frame: JudgedFrame
     trial: Trial
-    image: UInt8[np.ndarray, "h w 3"]
     judgements: Mapping[str, Judgement]
     """By detector."""
+    take: Callable[[], UInt8[np.ndarray, "h w 3"]]
+    """Makes the picture once: one judged in an earlier run is not made until somebody asks."""
+
+    @property
+    def image(self) -> UInt8[np.ndarray, "h w 3"]:
+        """The picture."""
+        return self.take()
+
+
+@runtime_checkable
+class Memory(Protocol):
+    """What was judged before, such as `Finished`."""
+
+    def known(self, detector: str, frame: JudgedFrame, trial: Trial) -> Judgement | None:
+        """The judgement of a picture, if it was made before."""
+        ...
+
+    def keep(self, judgement: Judgement, frame: JudgedFrame) -> None:
+        """Take note of one."""
+        ...
 
 
 def judged_pictures(
-    pictures: Pictures, detectors: Sequence[Finder], frames: Sequence[JudgedFrame], trials: Sequence[Trial]
+    pictures: Pictures,
+    detectors: Sequence[Finder],
+    frames: Sequence[JudgedFrame],
+    trials: Sequence[Trial],
+    memory: Memory | None = None,
 ) -> Iterator[JudgedPicture]:
-    """Make each picture and show it to each detector; view by view, in the order of the trials."""
+    """Make each picture and show it to each detector; view by view, in the order of the trials.
+
+    What the memory knows is not asked for again, and what it does not know it is told.
+    """
     for frame in frames:
         for trial in trials:
-            image = pictures.take(frame, trial)
-            judgements = {each.name: judged(each.name, frame, trial, each.detect(image)) for each in detectors}
-            yield JudgedPicture(frame, trial, image, judgements)
+            take = cache(partial(pictures.take, frame, trial))
+            judgements: dict[str, Judgement] = {}
+            for each in detectors:
+                judgement = None if memory is None else memory.known(each.name, frame, trial)
+                if judgement is None:
+                    judgement = judged(each.name, frame, trial, each.detect(take()))
+                    if memory is not None:
+                        memory.keep(judgement, frame)
+                judgements[each.name] = judgement
+            yield JudgedPicture(frame, trial, judgements, take)
 
 
 def judged(detector: str, frame: JudgedFrame, trial: Trial, detections: Sequence[Detection]) -> Judgement:

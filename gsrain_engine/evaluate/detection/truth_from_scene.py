@@ -1,4 +1,4 @@
-"""Labelled objects of a rendered view: what a scene's actors and parked cars show of themselves in it."""
+"""Labelled objects of a rendered view: what a scene's actors and parked vehicles show of themselves in it."""
 
 from collections.abc import Sequence
 

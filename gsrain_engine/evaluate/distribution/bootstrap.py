@@ -23,7 +23,12 @@ class Interval(NamedTuple):
 
 
 def frechet_interval(
-    real: Features, fake: Features, resamples: int, seed: int, advance: Advance = lambda: None
+    real: Features,
+    fake: Features,
+    resamples: int,
+    seed: int,
+    advance: Advance = lambda: None,
+    value: float | None = None,
 ) -> Interval:
     """Return how far the Frechet distance varies between sets of pictures as large as these.
 
@@ -32,13 +37,13 @@ def frechet_interval(
     quantiles of the resampled distances around their mean. It tells nothing of how far the value itself is too high for
     want of pictures: `small_samples` does. Of few pictures it is rather too wide (of 32 with 64 features by half); of
     pictures that are alike, such as neighbouring frames of a drive, too narrow, for it takes them for independent.
-    `advance` is called after each resample.
+    `advance` is called after each resample. `value` is the distance itself, where it is known.
     """
-    value = frechet_distance(real, fake)
+    value = frechet_distance(real, fake) if value is None else value
     points = rotated(real, fake)
     distances: list[float] = []
     for chosen in _drawn(len(real), len(fake), resamples, seed):
-        distances.append(frechet_distance(points[0][chosen[0]], points[1][chosen[1]]))
+        distances.append(frechet_distance(*points, (_counts(chosen[0], len(real)), _counts(chosen[1], len(fake)))))
         advance()
     shifts = np.array(distances) - np.mean(distances)
     interval = quantiles(shifts)
@@ -52,11 +57,19 @@ def kernel_interval(
 
     Pictures are taken for independent, as in `frechet_interval`; `shared` is that of `kernel_distance`.
     """
-    weights = [np.empty((len(each), resamples)) for each in (real, fake)]
+    return kernel_estimate(real, fake, resamples, seed, shared)[1]
+
+
+def kernel_estimate(
+    real: Features, fake: Features, resamples: int, seed: int, shared: Bool[np.ndarray, "_ _"] | None = None
+) -> tuple[float, Interval]:
+    """Return KID with its `kernel_interval`; kernels are made once for both."""
+    weights = [np.ones((len(each), 1 + resamples)) for each in (real, fake)]
     for k, chosen in enumerate(_drawn(len(real), len(fake), resamples, seed)):
         for own, drawn in zip(weights, chosen, strict=True):
-            own[:, k] = np.bincount(drawn, minlength=len(own))
-    return quantiles(weighted_distances(real, fake, weights[0], weights[1], shared))
+            own[:, 1 + k] = _counts(drawn, len(own))
+    values = weighted_distances(real, fake, weights[0], weights[1], shared)
+    return float(values[0]), quantiles(values[1:])
 
 
 def quantiles(values: Float64[np.ndarray, " n"]) -> Interval:
@@ -64,6 +77,10 @@ def quantiles(values: Float64[np.ndarray, " n"]) -> Interval:
     outside = (1 - CONFIDENCE) / 2
     low, high = np.nanquantile(values, (outside, 1 - outside))
     return Interval(float(low), float(high))
+
+
+def _counts(drawn: Int64[np.ndarray, " n"], pictures: int) -> Int64[np.ndarray, " _"]:
+    return np.bincount(drawn, minlength=pictures)
 
 
 def _drawn(

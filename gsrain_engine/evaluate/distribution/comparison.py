@@ -8,11 +8,10 @@ from jaxtyping import Bool, Float32, UInt8
 
 from gsrain_engine.datasets.capture import Capture
 
-from .bootstrap import Interval, frechet_interval, kernel_interval
+from .bootstrap import Interval, frechet_interval, kernel_estimate
 from .extractor import Extractor
 from .feature_cache import FeatureCache, picture_hash
 from .frechet import frechet_distance
-from .kernel_distance import kernel_distance
 from .small_samples import SameDistribution, same_distribution, warning
 
 LEAST_PICTURES = 4
@@ -93,6 +92,7 @@ def compared(
     value = frechet_distance(real.features, fake.features)
     same = same_distribution(real.features, fake.features, resamples, seed, advance)
     counts = (len(real), len(fake))
+    kernel, kernel_spread = kernel_estimate(real.features, fake.features, resamples, seed, pairs)
     told = warning(extractor, value, counts, same)
     in_both = len(set(real.hashes) & set(fake.hashes))
     warnings = [] if told is None else [told]
@@ -113,9 +113,9 @@ def compared(
         fake_pictures=counts[1],
         shared_pictures=in_both,
         frechet=value,
-        frechet_interval=frechet_interval(real.features, fake.features, resamples, seed, advance),
-        kernel=kernel_distance(real.features, fake.features, pairs),
-        kernel_interval=kernel_interval(real.features, fake.features, resamples, seed, pairs),
+        frechet_interval=frechet_interval(real.features, fake.features, resamples, seed, advance, value),
+        kernel=kernel,
+        kernel_interval=kernel_spread,
         same=same,
         warnings=tuple(warnings),
     )

@@ -38,19 +38,26 @@ def weighted_distances(
     return within - 2 * _across(real, fake, real_weights, fake_weights, shared)
 
 
-def _kernel(rows: Features, columns: Features) -> Float64[np.ndarray, "_ _"]:
-    products = rows.astype(np.float64) @ columns.astype(np.float64).T
-    return (products / rows.shape[1] + 1) ** 3
+def _kernel(rows: Float64[np.ndarray, "_ d"], columns: Float64[np.ndarray, "_ d"]) -> Float64[np.ndarray, "_ _"]:
+    near = rows @ columns.T
+    near /= rows.shape[1]
+    near += 1
+    cubed = near * near
+    cubed *= near
+    return cubed
 
 
 def _within(features: Features, weights: Float64[np.ndarray, "_ k"]) -> Float64[np.ndarray, " k"]:
+    """Mean over pairs of one set: those below the diagonal twice, those with themselves not at all."""
     total = np.zeros(weights.shape[1])
-    for start in range(0, len(features), _BLOCK_ROWS):
+    points = features.astype(np.float64)
+    for start in range(0, len(points), _BLOCK_ROWS):
         block = slice(start, start + _BLOCK_ROWS)
-        kernel = _kernel(features[block], features)
+        kernel = _kernel(points[block], points[: start + _BLOCK_ROWS])
         at = np.arange(len(kernel))
         kernel[at, start + at] = 0
-        total += np.sum((kernel @ weights) * weights[block], axis=0)
+        kernel[:, :start] *= 2
+        total += np.sum((kernel @ weights[: start + _BLOCK_ROWS]) * weights[block], axis=0)
     return _mean(total, np.sum(weights, axis=0) ** 2 - np.sum(weights**2, axis=0))
 
 
@@ -63,9 +70,10 @@ def _across(
 ) -> Float64[np.ndarray, " k"]:
     total = np.zeros(real_weights.shape[1])
     pairs = np.sum(real_weights, axis=0) * np.sum(fake_weights, axis=0)
-    for start in range(0, len(real), _BLOCK_ROWS):
+    first, second = real.astype(np.float64), fake.astype(np.float64)
+    for start in range(0, len(first), _BLOCK_ROWS):
         block = slice(start, start + _BLOCK_ROWS)
-        kernel = _kernel(real[block], fake)
+        kernel = _kernel(first[block], second)
         if shared is not None:
             kernel[shared[block]] = 0
             pairs = pairs - np.sum((shared[block] @ fake_weights) * real_weights[block], axis=0)

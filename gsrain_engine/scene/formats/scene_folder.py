@@ -69,6 +69,15 @@ def read_scene_folder(folder: Path, known: KnownFiles | None = None) -> Scene:
         raise SceneFormatError(folder / SCENE_FILE, str(error)) from None
 
 
+def scene_folder_files(folder: Path) -> list[Path]:
+    """Return the files that a scene folder is made of: `scene.json`, then those of its layers and actors.
+
+    Raises:
+        SceneFormatError: When one is missing, or `scene.json` is no description of a scene.
+    """
+    return [folder / SCENE_FILE, *_places(folder, _read_record(folder)).values()]
+
+
 def is_in_drawing_order(folder: Path) -> bool:
     """Whether a scene folder holds its Gaussians in their drawing order.
 

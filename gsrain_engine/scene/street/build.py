@@ -14,7 +14,7 @@ from .furniture import build_furniture
 from .houses import build_houses
 from .layout import StreetLayout, plan_street
 from .parameters import StreetParameters
-from .parked_vehicles import PARKED_LAYER
+from .parked_vehicles import PARKED_CARS, PARKED_TRUCKS
 from .parking import CarShape
 from .pavements import build_pavements
 from .quads import Quads
@@ -62,7 +62,8 @@ def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurface
         "pavements": build_pavements(layout),
         "houses": build_houses(layout),
         "trees": build_trees(layout, sun),
-        PARKED_LAYER: Quads.joined([build_parked_cars(layout), *build_parked_trucks(layout)]),
+        PARKED_CARS: build_parked_cars(layout),
+        PARKED_TRUCKS: build_parked_trucks(layout),
         "furniture": build_furniture(layout),
         "surroundings": build_surroundings(layout),
         "sky": build_sky(layout),

@@ -82,15 +82,19 @@ def build_car(shape: CarShape, paint: tuple[float, float, float], fine: float = 
 
 def car_shadow(shape: CarShape) -> Quads:
     """Build the soft dark patch that a moving car carries along on the ground."""
-    form = CAR_FORMS[shape]
-    x = np.linspace(-0.5 * form.length - 0.5, 0.5 * form.length + 0.4, 30)
-    y = np.linspace(-0.5 * form.width - 0.75, 0.5 * form.width + 0.35, 18)
+    return vehicle_shadow(CAR_FORMS[shape].length, CAR_FORMS[shape].width)
+
+
+def vehicle_shadow(length: float, width: float) -> Quads:
+    """Build the soft dark patch on the ground around a vehicle of a size, in metres."""
+    x = np.linspace(-0.5 * length - 0.5, 0.5 * length + 0.4, 30)
+    y = np.linspace(-0.5 * width - 0.75, 0.5 * width + 0.35, 18)
     points = np.stack(np.broadcast_arrays(x[:, None], y[None, :], _SHADOW_HEIGHT_M), axis=2)
     shadow = patch(points, 0.012, Label.ROAD, spread=0.8)
     center = shadow.centers
-    outside = np.maximum(np.abs(center[:, 0]) - 0.5 * form.length + 0.12, 0)
-    left = np.maximum(center[:, 1] - 0.5 * form.width + 0.15, 0)
-    right = np.maximum(-center[:, 1] - 0.5 * form.width - 0.15, 0)
+    outside = np.maximum(np.abs(center[:, 0]) - 0.5 * length + 0.12, 0)
+    left = np.maximum(center[:, 1] - 0.5 * width + 0.15, 0)
+    right = np.maximum(-center[:, 1] - 0.5 * width - 0.15, 0)
     fade = np.exp(-((np.hypot(outside, np.maximum(left, right)) / 0.28) ** 2))
     return replace(shadow, opacity=(0.55 * fade).astype(np.float32)).take(fade > 0.02)
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from .grids import box, patch, tube
 from .labels import Label
-from .layout import CROSSING_LENGTH_M, KERB_HEIGHT_M, StreetLayout
+from .layout import KERB_HEIGHT_M, StreetLayout
+from .parking import CROSSING_LENGTH_M
 from .quads import Quads
 
 _IRON = (0.045, 0.055, 0.052)

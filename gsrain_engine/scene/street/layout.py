@@ -107,7 +107,7 @@ def plan_street(parameters: StreetParameters) -> StreetLayout:
     left, right = (_row(p, side, np.random.default_rng([p.seed, 1, side])) for side in (0, 1))
     trees = _trees(p, crossings, np.random.default_rng([p.seed, 2]))
     cars = plan_cars(p, crossings, np.random.default_rng([p.seed, 4]))
-    trucks = plan_trucks(p, crossings, trees, cars)
+    trucks = plan_trucks(p, crossings, [(tree.x, tree.y, tree.radius) for tree in trees], cars)
     return StreetLayout(
         parameters=p,
         left=left,

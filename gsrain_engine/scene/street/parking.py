@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -26,34 +26,15 @@ _PAINTS: tuple[Color, ...] = (
     (0.36, 0.33, 0.27),  # sand
 )
 _LORRIES: tuple[tuple[int, float, Color, Color, Color], ...] = (
-    (1, 58.0, (0.60, 0.60, 0.59), (0.64, 0.64, 0.63), (0.03, 0.10, 0.30)),
+    (1, 58.0, (0.60, 0.60, 0.59), (0.62, 0.62, 0.60), (0.03, 0.10, 0.30)),
     (1, 86.5, (0.42, 0.025, 0.02), (0.62, 0.62, 0.60), (0.42, 0.025, 0.02)),
     (-1, 67.0, (0.03, 0.09, 0.27), (0.64, 0.64, 0.63), (0.03, 0.09, 0.27)),
-    (-1, 97.5, (0.62, 0.62, 0.61), (0.60, 0.60, 0.58), (0.05, 0.22, 0.07)),
+    (-1, 97.5, (0.62, 0.62, 0.61), (0.035, 0.11, 0.26), (0.62, 0.62, 0.60)),
 )
-"""Side of the street (1: left), where about (x, m), colours of cab, box and stripe."""
+"""Side of the street (1: left), where about (x, m), colours of cab, box and sign."""
 _CAR_LENGTH_M, _GAP_M = 4.7, 0.5
 _MOST_SHIFT_M = 5.0
 """A lorry that finds no room so near to where it would like to stand has not come."""
-
-
-class Crown(Protocol):
-    """A tree, as far as lorries care."""
-
-    @property
-    def x(self) -> float:
-        """Where its stem is."""
-        ...
-
-    @property
-    def y(self) -> float:
-        """Where its stem is, across."""
-        ...
-
-    @property
-    def radius(self) -> float:
-        """Radius of its crown."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +57,7 @@ class ParkedTruck:
     turn_deg: float
     cab: Color
     body: Color
-    stripe: Color
+    sign: Color
 
 
 def plan_cars(p: StreetParameters, crossings: Sequence[float], rng: np.random.Generator) -> tuple[ParkedCar, ...]:
@@ -98,22 +79,23 @@ def plan_cars(p: StreetParameters, crossings: Sequence[float], rng: np.random.Ge
 
 
 def plan_trucks(
-    p: StreetParameters, crossings: Sequence[float], trees: Sequence[Crown], cars: Sequence[ParkedCar]
+    p: StreetParameters,
+    crossings: Sequence[float],
+    crowns: Sequence[tuple[float, float, float]],
+    cars: Sequence[ParkedCar],
 ) -> tuple[ParkedTruck, ...]:
-    """Place lorries close to the kerb, clear of crowns and crossings; none where nobody may park."""
+    """Place lorries close to the kerb, clear of crowns (x, y, radius) and crossings; none where nobody may park."""
     trucks: list[ParkedTruck] = []
-    for side, x, cab, body, stripe in _LORRIES if cars else ():
-        taken = [(tree.x - tree.radius, tree.x + tree.radius) for tree in trees if tree.y * side > 0]
+    for side, x, cab, body, sign in _LORRIES if cars else ():
+        taken = [(at - radius, at + radius) for at, y, radius in crowns if y * side > 0]
         taken += [(c - 5.0, c + CROSSING_LENGTH_M + 5.0) for c in crossings]
         taken += [(-np.inf, p.start_x_m + 2.0), (p.end_x_m - 2.0, np.inf)]
         shifts = sorted(np.arange(-_MOST_SHIFT_M, _MOST_SHIFT_M + 0.1, 0.25), key=abs)
         reach = 0.5 * TRUCK_LENGTH_M
-        free = [
-            x + s for s in shifts if all(x + s + reach < low or x + s - reach > high for low, high in taken)
-        ]
+        free = [x + s for s in shifts if all(x + s + reach < low or x + s - reach > high for low, high in taken)]
         if free:
             y = side * (p.kerb_y_m - 0.03 - 0.5 * TRUCK_WIDTH_M)
-            trucks.append(ParkedTruck(float(free[0]), y, 180.0 if side > 0 else 0.0, cab, body, stripe))
+            trucks.append(ParkedTruck(float(free[0]), y, 180.0 if side > 0 else 0.0, cab, body, sign))
     return tuple(trucks)
 
 

@@ -10,12 +10,12 @@ from .layout import (
     CROSS_LENGTH_M,
     CROSS_PAVEMENT_M,
     CROSS_ROAD_M,
-    CROSSING_LENGTH_M,
     HOUSE_DEPTH_M,
     KERB_HEIGHT_M,
     StreetLayout,
 )
 from .noise import lattice_noise, layered_noise
+from .parking import CROSSING_LENGTH_M
 from .quads import Quads
 
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)

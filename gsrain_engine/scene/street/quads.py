@@ -96,6 +96,11 @@ class Quads:
         matrix = np.asarray(rotation, np.float32)
         return replace(self, corners=self.corners @ matrix.T, normals=self.normals @ matrix.T)
 
+    def mirrored(self) -> "Quads":
+        """The same on the other side of the xz plane: y is negated, and corners run the other way round."""
+        flip = np.array([1, -1, 1], np.float32)
+        return replace(self, corners=self.corners[:, [1, 0, 3, 2]] * flip, normals=self.normals * flip)
+
     def repeated(self, offsets: Float[np.ndarray, "m 3"]) -> "Quads":
         """Copies of all quads at each offset, one copy after the other."""
         m = len(offsets)

@@ -7,8 +7,9 @@ from jaxtyping import Bool, Float64
 
 from .grids import even_lines, graded_lines, panel
 from .labels import Label
-from .layout import CROSS_LENGTH_M, CROSS_PAVEMENT_M, CROSS_ROAD_M, CROSSING_LENGTH_M, StreetLayout
+from .layout import CROSS_LENGTH_M, CROSS_PAVEMENT_M, CROSS_ROAD_M, StreetLayout
 from .noise import layered_noise, smooth_noise
+from .parking import CROSSING_LENGTH_M
 from .quads import Quads
 
 _X, _Y = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)

@@ -1,11 +1,13 @@
-"""What keeps light from a point of the street: rows of houses, crowns of trees, cars."""
+"""What keeps light from a point of the street: rows of houses, crowns of trees, parked vehicles."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
-from .cars import CAR_FORMS
 from .layout import HOUSE_DEPTH_M, KERB_HEIGHT_M, House, StreetLayout
 from .noise import smooth_noise
+from .standing import Standing, standing_vehicles
 from .trees import crown_lobes
 
 
@@ -20,8 +22,8 @@ def sun_visibility(
             visible *= _past_houses(row, side, layout.parameters.front_y_m, sun, p)
     ground = np.flatnonzero(~leaf & (visible > 0.01))
     visible[ground] *= _through_trees(layout, sun, p[ground])
-    low = np.flatnonzero(~leaf & (visible > 0.01) & (p[:, 2] < 1.2))
-    visible[low] *= _past_cars(layout, sun, p[low])
+    low = np.flatnonzero(~leaf & (visible > 0.01))
+    visible[low] *= _past_vehicles(standing_vehicles(layout), sun, p[low])
     return visible
 
 
@@ -40,7 +42,7 @@ def ground_occlusion(
     in_gutter = inside & level & (np.abs(p[:, 1]) < a.kerb_y_m)
     share = np.where(in_gutter, share * (1 - 0.35 * np.exp(-at_kerb / 0.08)), share)
     low = np.flatnonzero(inside & (p[:, 2] < 0.6) & (normals[:, 2] > 0.3))
-    share[low] *= _beside_cars(layout, p[low])
+    share[low] *= _beside_vehicles(standing_vehicles(layout), p[low])
     for tree in layout.trees:
         beside = (np.abs(p[:, 0] - tree.x) < 4) & (np.abs(p[:, 1] - tree.y) < 4)
         near = np.flatnonzero(beside & (p[:, 2] < tree.crown_base))
@@ -101,40 +103,34 @@ def _through_trees(
     return passed
 
 
-def _past_cars(
-    layout: StreetLayout, sun: Float64[np.ndarray, "3"], p: Float64[np.ndarray, "n 3"]
+def _past_vehicles(
+    vehicles: Sequence[Standing], sun: Float64[np.ndarray, "3"], p: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, " n"]:
-    """Cast shadows of two boxes a car, body and glass house, softened where the sun only grazes them."""
+    """Cast shadows of a few boxes a vehicle, softened where the sun only grazes them."""
     passed = np.ones(len(p))
-    for car in layout.cars:
-        form = CAR_FORMS[car.shape]
-        near = np.flatnonzero((np.abs(p[:, 0] - car.x) < 5.0) & (np.abs(p[:, 1] - car.y) < 3.6))
+    for each in vehicles:
+        half, w = 0.5 * each.length, 0.5 * each.width
+        beside = (np.abs(p[:, 0] - each.x) < half + 1.4 * each.height) & (np.abs(p[:, 1] - each.y) < w + each.reach)
+        near = np.flatnonzero(beside & (p[:, 2] < each.height))
         if not len(near):
             continue
-        way = -1.0 if abs(car.turn_deg) > 90 else 1.0
-        local = (p[near] - [car.x, car.y, 0.0]) * [way, way, 1.0]
-        towards = sun * [way, way, 1.0]
-        half, w = 0.5 * form.length, 0.5 * form.width
-        body = (-half, -w, 0.16), (half, w, form.hood[1] - 0.02)
-        rear, front = 0.5 * (form.belt[0] + form.roof[0]), 0.5 * (form.belt[1] + form.roof[1])
-        cabin = (rear, -w + 0.2, 0.8), (front, w - 0.2, form.height)
-        # Beside the car only: the car's own surfaces are lit by their normals.
-        for low, high in (body, cabin):
+        local = (p[near] - [each.x, each.y, 0.0]) * [each.way, each.way, 1.0]
+        towards = sun * [each.way, each.way, 1.0]
+        for low, high in each.boxes:
             low_t, high_t = (np.array(low) - local) / towards, (np.array(high) - local) / towards
             enter, leave = np.minimum(low_t, high_t).max(axis=1), np.maximum(low_t, high_t).min(axis=1)
             path = leave - np.maximum(enter, 0)
-            outside = (np.abs(local[:, 0]) > half) | (np.abs(local[:, 1]) > w) | (local[:, 2] < 0.16)
-            passed[near] *= np.where(outside, 1 - np.clip(path / 0.22, 0, 1), 1.0)
+            shaded = 1 - np.clip(path / 0.22, 0, 1)
+            passed[near] *= np.where(each.is_lit_by_itself(local), 1.0, shaded)
     return passed
 
 
-def _beside_cars(layout: StreetLayout, p: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
-    """Darken the ground under and around cars."""
+def _beside_vehicles(vehicles: Sequence[Standing], p: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+    """Darken the ground under and around vehicles."""
     share = np.ones(len(p))
-    for car in layout.cars:
-        form = CAR_FORMS[car.shape]
-        away_x = np.abs(p[:, 0] - car.x) - 0.5 * form.length + 0.1
-        away_y = np.abs(p[:, 1] - car.y) - 0.5 * form.width + 0.1
+    for each in vehicles:
+        away_x = np.abs(p[:, 0] - each.x) - 0.5 * each.length + 0.1
+        away_y = np.abs(p[:, 1] - each.y) - 0.5 * each.width + 0.1
         near = np.flatnonzero((away_x < 1.2) & (away_y < 1.2) & (p[:, 2] < 0.16))
         away = np.hypot(np.maximum(away_x[near], 0), np.maximum(away_y[near], 0))
         share[near] *= 1 - 0.88 * np.exp(-away / 0.32)

@@ -125,7 +125,7 @@ def test_figures_show_means_and_bands_by_object(rows, judgements):
     (panel,) = figure.axes
     curves = {line.get_label(): line.get_ydata() for line in panel.get_lines()}
     np.testing.assert_allclose(curves["far: car, 35 m, 1 frame"], [0.7, 0.2])
-    np.testing.assert_allclose(curves["mean of all 2 objects"], [0.8, 0.5])
+    np.testing.assert_allclose(curves["mean of 2 objects"], [0.8, 0.5])
     _, far = panel.collections
     corners = far.get_paths()[0].vertices
     at_last = corners[corners[:, 0] == 8.5][:, 1]

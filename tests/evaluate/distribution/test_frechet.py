@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import linalg
 
-from gsrain_engine.evaluate.distribution.frechet import frechet_distance, rotated
+from gsrain_engine.evaluate.distribution import frechet as module
+from gsrain_engine.evaluate.distribution.frechet import frechet_distance, nuclear_norm, rotated
 
 
 def _set(count, features, seed, shift=0.0, scale=1.0):
@@ -96,3 +97,34 @@ def test_torchmetrics_agrees(count):
     metric.update(torch.from_numpy(fake), real=False)
     ours = frechet_distance(*(each.reshape(count, -1) / np.float32(50) for each in (real, fake)))
     assert float(metric.compute()) == pytest.approx(ours, rel=1e-3)
+
+
+@pytest.mark.parametrize(("n", "m", "features"), [(700, 600, 300), (300, 320, 500), (400, 290, 350)])
+def test_many_pictures_take_the_faster_way_to_the_same_distance(n, m, features, monkeypatch):
+    real, fake = _set(n, features, 0), _set(m, features, 1, 0.1, 1.2)
+    asked = []
+    monkeypatch.setattr(np.linalg, "svd", lambda *given, **named: asked.append(1))
+    fast = frechet_distance(real, fake)
+    assert not asked
+    monkeypatch.undo()
+    monkeypatch.setattr(module, "_MANY", 10_000)
+    assert frechet_distance(real, fake) == pytest.approx(fast, rel=1e-9)
+
+
+def test_where_rounding_would_tell_the_slower_way_is_taken():
+    real = _set(400, 300, 0)
+    assert frechet_distance(real, real) == pytest.approx(0, abs=1e-9)
+    flat = real * (np.arange(300) < 290)  # ten features that never change: a singular covariance
+    assert frechet_distance(flat, real) == pytest.approx(np.var(real[:, 290:], axis=0, ddof=1).sum(), rel=0.2)
+    sum_, uncertain = nuclear_norm(flat, flat)
+    exact = np.linalg.svd(flat @ flat.T, compute_uv=False).sum()
+    assert abs(sum_ - exact) <= uncertain
+
+
+@pytest.mark.parametrize(("n", "features"), [(12, 30), (40, 7), (400, 300)])
+def test_counts_are_copies(n, features):
+    real, fake = _set(n, features, 0), _set(n + 3, features, 1, 0.2)
+    drawn = [np.random.default_rng(k).integers(0, len(each), len(each)) for k, each in enumerate((real, fake))]
+    counts = tuple(np.bincount(own, minlength=len(each)) for own, each in zip(drawn, (real, fake), strict=True))
+    copied = frechet_distance(real[drawn[0]], fake[drawn[1]])
+    assert frechet_distance(real, fake, counts) == pytest.approx(copied, rel=1e-9)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluate.distribution.bootstrap import frechet_interval, kernel_interval
+from gsrain_engine.evaluate.distribution.bootstrap import frechet_interval, kernel_estimate, kernel_interval
 from gsrain_engine.evaluate.distribution.extractor import Extractor
 from gsrain_engine.evaluate.distribution.frechet import frechet_distance
 from gsrain_engine.evaluate.distribution.kernel_distance import kernel_distance
@@ -99,3 +99,11 @@ def test_the_warning_says_what_few_pictures_do():
     assert "only with values of as many pictures, or take KID" in far
     assert warning(FID, 100 * same.mean, (12, 12), same) is None
     assert warning(FID, 1.0, (9, 9), SameDistribution(0.09, same.interval)) is None
+
+
+def test_kid_and_its_interval_come_from_one_look_at_the_kernels():
+    random = np.random.default_rng(1)
+    real, fake = _set(random, 30), _set(random, 25, 0.1)
+    value, interval = kernel_estimate(real, fake, 50, 5)
+    assert value == pytest.approx(kernel_distance(real, fake), rel=1e-12)
+    assert interval == pytest.approx(kernel_interval(real, fake, 50, 5), rel=1e-12)

@@ -1,0 +1,129 @@
+"""What `gsrain drive` writes: runs, tables, figures, films and a report."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from gsrain_engine.drive.metrics.comparison import Run, compare
+from gsrain_engine.drive.metrics.figures import kinematics_figure, write_figure
+from gsrain_engine.drive.metrics.metrics_files import write_metrics_csv
+from gsrain_engine.drive.metrics.run_page import drive_report
+from gsrain_engine.drive.metrics.table import results_table
+from gsrain_engine.drive.road.route import recorded_route
+from gsrain_engine.drive.scenario.scenario import Scenario
+from gsrain_engine.drive.simulation.drive_video import DriveVideo
+from gsrain_engine.drive.simulation.played_rollout import PlayedRollout
+from gsrain_engine.drive.simulation.rollout import Rollout
+from gsrain_engine.drive.simulation.rollout_files import write_rollout
+from gsrain_engine.evaluate.report.run_report import write_report
+from gsrain_engine.render.renderer import Renderer
+from gsrain_engine.render.video import VideoWriter
+from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.scene.scene import Scene
+
+from ..progress import progress_bar
+
+EXPORTS = ("parquet", "mcap", "xosc")
+
+
+@dataclass(frozen=True, slots=True)
+class DriveFiles:
+    """Where the files of a command go, and which."""
+
+    folder: Path
+    exports: frozenset[str]
+    fps: float
+    """Frames a second of films."""
+
+    def check(self) -> None:
+        """Raise ValueError for what can't be written."""
+        unknown = sorted(self.exports - set(EXPORTS))
+        if unknown:
+            raise ValueError(f"--export {unknown[0]}: there is only {', '.join(EXPORTS)}")
+        if not 1 <= self.fps <= 60:
+            raise ValueError(f"--fps {self.fps:g}: must be within 1..60")
+
+    def of(self, run: Run, suffix: str) -> Path:
+        """Return the file of a run."""
+        metrics = run.metrics
+        name = f"{metrics.scenario}_{metrics.agent}_{metrics.intensity_mm_h:g}mm_seed{metrics.seed}"
+        return self.folder / f"{name}{suffix}"
+
+
+def write_drives(
+    files: DriveFiles, runs: Sequence[Run], scene: Scene, renderer: Renderer | None, settings: Mapping[str, object]
+) -> list[str]:
+    """Write everything that came of runs in one scene; films where there is a renderer. Returns the files' names.
+
+    `settings` are told on the report beside what the runs say themselves.
+    """
+    files.folder.mkdir(parents=True, exist_ok=True)
+    written: list[Path] = []
+    for run in runs:
+        written += _write_run(files, run, scene, renderer)
+    compared = compare(runs)
+    table = results_table(compared)
+    with whole_file(files.folder / "table.md") as beside:
+        beside.write_text(table.markdown, encoding="utf-8")
+    write_metrics_csv(files.folder / "table.csv", [run.metrics for run in runs])
+    figures = {files.folder / f"{each.scenario}_{each.agent}.png": kinematics_figure(each) for each in compared}
+    for path, figure in figures.items():
+        write_figure(path, figure)
+    write_report(files.folder / "report.html", drive_report(runs, {scene.name: recorded_route(scene)}, settings))
+    written += [files.folder / "table.md", files.folder / "table.csv", *figures, files.folder / "report.html"]
+    return [path.name for path in written]
+
+
+def _write_run(files: DriveFiles, run: Run, scene: Scene, renderer: Renderer | None) -> list[Path]:
+    rollout = run.rollout
+    assert rollout is not None
+    jsonl = files.of(run, ".jsonl")
+    write_rollout(jsonl, rollout)
+    written = [jsonl]
+    for kind in sorted(files.exports):
+        _EXPORTERS[kind](files.of(run, f".{kind}"), rollout, scene)
+        written.append(files.of(run, f".{kind}"))
+    if renderer is not None:
+        film = files.of(run, ".mp4")
+        _film(film, DriveVideo(PlayedRollout(rollout, scene), renderer), files.fps)
+        written.append(film)
+    return written
+
+
+def _film(path: Path, video: DriveVideo, fps: float) -> None:
+    pictures = video.pictures(fps)
+    first = next(pictures)
+    with (
+        VideoWriter(path, first.shape[1], first.shape[0], fps) as writer,
+        progress_bar("Filming", video.count(fps)) as advance,
+    ):
+        for picture in (first, *pictures):
+            writer.write(picture)
+            advance()
+
+
+def _write_parquet(path: Path, rollout: Rollout, scene: Scene) -> None:
+    from gsrain_engine.drive.simulation.rollout_parquet import write_rollout_parquet
+
+    write_rollout_parquet(path, rollout)
+
+
+def _write_mcap(path: Path, rollout: Rollout, scene: Scene) -> None:
+    from gsrain_engine.drive.simulation.rollout_mcap import write_rollout_mcap
+
+    write_rollout_mcap(path, rollout, recorded_route(scene))
+
+
+def _write_xosc(path: Path, rollout: Rollout, scene: Scene) -> None:
+    from gsrain_engine.drive.scenario.openscenario.export import write_openscenario
+
+    write_openscenario(path, msgspec.convert(rollout.scenario, Scenario), scene)
+
+
+_EXPORTERS: Mapping[str, Callable[[Path, Rollout, Scene], None]] = {
+    "parquet": _write_parquet,
+    "mcap": _write_mcap,
+    "xosc": _write_xosc,
+}

@@ -1,0 +1,101 @@
+"""MkDocs hook: pages that are made when the site is built, and diagrams that need no script from elsewhere."""
+
+import hashlib
+import logging
+import posixpath
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+DIAGRAMS = "images/diagrams"
+
+# Texts that stand outside docs/, where people look for them first, and their pages in the site.
+ELSEWHERE = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changes.md",
+    "benchmarks/README.md": "benchmarks.md",
+}
+
+_LINK = re.compile(r"(!?\[[^\]]*\]\()([^)\s#]+)(#[^)\s]*)?\)")
+_MERMAID = re.compile(r"^```mermaid\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+_EXAMPLE = re.compile(r"^(gsrain [a-z].*)$", re.MULTILINE)
+_CONTENTS = re.compile(r"^## Table of Contents$.*?(?=^## )", re.DOTALL | re.MULTILINE)
+_LISTS = re.compile(r"^\*\*Commands\*\*:\n\n(?:\* .*\n)+\n?", re.MULTILINE)
+
+log = logging.getLogger("mkdocs.hooks.site_pages")
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the pages whose text is not in docs/."""
+    from mkdocs.structure.files import File
+
+    for source, page in ELSEWHERE.items():
+        files.append(File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8")))
+    files.append(File.generated(config, "commands.md", content=commands_page()))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
+    """Lead links to where texts are in the site, and put pictures in the place of diagrams."""
+    here = page.file.src_uri
+    source = next((each for each, name in ELSEWHERE.items() if name == here), f"docs/{here}")
+    return with_diagrams(with_site_links(markdown, source, here), here)
+
+
+def with_site_links(markdown: str, source: str, page: str) -> str:
+    """Rewrite relative links of a text, which is `source` in the repository and `page` in the site."""
+
+    def led(link: re.Match[str]) -> str:
+        opening, target, anchor = link[1], link[2], link[3] or ""
+        if re.match(r"[a-z]+:", target):
+            return link[0]
+        place = posixpath.normpath(posixpath.join(posixpath.dirname(source), target))
+        place = ELSEWHERE.get(place, place.removeprefix("docs/"))
+        return f"{opening}{posixpath.relpath(place, posixpath.dirname(page) or '.')}{anchor})"
+
+    return _LINK.sub(led, markdown)
+
+
+def with_diagrams(markdown: str, page: str) -> str:
+    """Show each Mermaid diagram as the pictures that were drawn of it, one for each scheme; else as its text."""
+
+    def drawn(fence: re.Match[str]) -> str:
+        names = [f"{DIAGRAMS}/{diagram_name(fence[1])}_{scheme}.svg" for scheme in ("light", "dark")]
+        if not all((ROOT / "docs" / name).is_file() for name in names):
+            log.info("%s: a diagram has changed since it was drawn and is shown as text; make diagrams draws it", page)
+            return f"```text\n{fence[1]}```"
+        up = posixpath.relpath(".", posixpath.dirname(page) or ".")
+        light, dark = (posixpath.normpath(posixpath.join(up, name)) for name in names)
+        return f"![Diagram]({light}#only-light)\n![Diagram]({dark}#only-dark)"
+
+    return _MERMAID.sub(drawn, markdown)
+
+
+def diagram_name(source: str) -> str:
+    """Name of a diagram's pictures: a diagram that changes has none until it is drawn again."""
+    return hashlib.sha256(source.strip().encode()).hexdigest()[:12]
+
+
+def commands_page() -> str:
+    """Write the reference of the command line, from the program itself."""
+    if str(ROOT) not in sys.path:
+        sys.path.insert(0, str(ROOT))
+    from app.command_line import app
+
+    text = app.generate_docs(output_format="markdown")
+    text = _LISTS.sub("", _CONTENTS.sub("", text, count=1))
+    text = text.replace("# gsrain\n", "# Commands\n", 1).replace("```console\n", "```text\n")
+    text = text.replace(' *[default: ""]*', "").replace("*[default: ", "*[").replace("**[required]**", "*[required]*")
+    text = text.replace("**Parameters**:", "Options:").replace("**Arguments**:", "Arguments:")
+    heading, usage, *rest = re.split(r"(?=^## )", text, maxsplit=1, flags=re.MULTILINE)[0].split("\n\n", 2)
+    body = re.split(r"(?=^## )", text, maxsplit=1, flags=re.MULTILINE)[1]
+    how = (
+        "What `gsrain COMMAND --help` says, made from the program when this site was built. Every command prints what it "
+        "wrote; `--json FILE` keeps the numbers that it reports; bad input ends with exit code 2 and one line, Ctrl-C "
+        "with 130."
+    )
+    parts = [heading, how, usage, *rest]
+    return "\n\n".join(part.strip() for part in parts) + "\n\n" + _EXAMPLE.sub(r"    \1", body)

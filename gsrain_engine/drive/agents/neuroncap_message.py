@@ -1,0 +1,73 @@
+"""What NeuroNCAP's model nodes are asked with: `/infer`'s JSON, named and framed as NeuroNCAP sends it.
+
+Ego frame: x forward, y left, z up, below the rear axle on the road, as nuScenes has it. Fields: neuro-ncap's
+`ModelInput` and the `InferenceInputs` of its UniAD node.
+"""
+
+import base64
+from typing import Any
+
+import msgspec
+import numpy as np
+from jaxtyping import Float64
+
+from gsrain_engine.scene.scene import RigCamera
+
+from .lidar_mount import front_camera, lidar_to_rig
+from .observation import Observation, Rig
+from .tensor_file import tensor_file
+
+COMMANDS = {"right": 0, "left": 1, "straight": 2}
+_GRAVITY_M_S2 = 9.8
+
+
+def neuroncap_message(observation: Observation, rig: Rig) -> bytes:
+    """Return `/infer`'s body: pictures as tensors in base64, pose, bus signals, microseconds, command, calibration."""
+    pictures = {name: base64.b64encode(tensor_file(view.image)).decode() for name, view in observation.views.items()}
+    shown = [each for each in rig.cameras if each.name in observation.views]
+    message = {
+        "images": pictures,
+        "ego2world": _ego_to_world(observation).tolist(),
+        "canbus": can_bus(observation, rig),
+        "timestamp": round(1e6 * observation.time_s),
+        "command": COMMANDS[observation.command],
+        "calibration": _calibration(shown, rig),
+    }
+    return msgspec.json.encode(message)
+
+
+def can_bus(observation: Observation, rig: Rig) -> list[float]:
+    """Return nuScenes' sixteen bus signals.
+
+    Place (m; 0 high, as NeuroNCAP's), orientation (wxyz), acceleration (m/s2, gravity upward), turn rates (rad/s) and
+    velocity (m/s), the last three in the ego frame.
+    """
+    state = observation.state
+    yaw_rate = state.speed_m_s * np.tan(state.steer_rad) / rig.vehicle.wheelbase_m
+    half = state.yaw_rad / 2
+    signals = (
+        state.x_m, state.y_m, 0.0, np.cos(half), 0.0, 0.0, np.sin(half),
+        observation.acceleration_m_s2, state.speed_m_s * yaw_rate, _GRAVITY_M_S2,
+        0.0, 0.0, yaw_rate, state.speed_m_s, 0.0, 0.0,
+    )  # fmt: skip
+    return [float(each) for each in signals]
+
+
+def _ego_to_world(observation: Observation) -> Float64[np.ndarray, "4 4"]:
+    state, matrix = observation.state, np.eye(4)
+    cosine, sine = np.cos(state.yaw_rad), np.sin(state.yaw_rad)
+    matrix[:2, :2] = [[cosine, -sine], [sine, cosine]]
+    matrix[:2, 3] = state.x_m, state.y_m
+    return matrix
+
+
+def _calibration(cameras: list[RigCamera], rig: Rig) -> dict[str, Any]:
+    rig_to_ego = np.eye(4)
+    rig_to_ego[2, 3] = rig.height_m
+    return {
+        "camera2image": {
+            each.name: [[each.fx, 0.0, each.cx], [0.0, each.fy, each.cy], [0.0, 0.0, 1.0]] for each in cameras
+        },
+        "camera2ego": {each.name: (rig_to_ego @ each.camera_to_ego).tolist() for each in cameras},
+        "lidar2ego": (rig_to_ego @ lidar_to_rig(front_camera(rig.cameras))).tolist(),
+    }

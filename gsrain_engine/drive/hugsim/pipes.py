@@ -1,0 +1,154 @@
+"""HUGSIM's two named pipes, `obs_pipe` and `plan_pipe`, with a watch over who is at their other ends.
+
+A message has neither length nor version: whoever writes opens, writes and closes, whoever reads does so to the end.
+"""
+
+import errno
+import os
+import select
+import stat
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from ..agents.client_error import ClientError
+
+OBSERVATIONS, PLANS = "obs_pipe", "plan_pipe"
+_LOOK_S = 0.2
+"""So often is looked whether the client still lives while nothing else happens."""
+_LONGEST_PAUSE_S = 0.02
+_MOMENTS = 25
+"""Pauses in which a client that has let go of a pipe may end: why it did is told then."""
+_ROOM_BYTES = 1 << 20
+_CHUNK_BYTES = 1 << 16
+
+
+class Patience:
+    """How long to wait for a client, and whether there still is one to wait for."""
+
+    def __init__(self, seconds: float, ended: Callable[[], str | None]) -> None:
+        """Begin to wait now; `ended` says how the client ended, in a clause, none while it runs or is not known."""
+        self.seconds, self._ended = seconds, ended
+        self._until = time.monotonic() + seconds
+
+    def check(self, done: str) -> None:
+        """Raise ClientError where it makes no sense to wait on until it has `done` something."""
+        ended = self._ended()
+        if ended is not None:
+            raise ClientError(f"the client {ended} before it had {done}")
+        if time.monotonic() > self._until:
+            raise ClientError(f"the client has not {done} within {self.seconds:g} s")
+
+    def failed(self, done: str, why: str) -> ClientError:
+        """Return the error of a client that has left a pipe: that it ended, if that is why, else `why`."""
+        for _ in range(_MOMENTS):
+            try:
+                self.check(done)
+            except ClientError as ended:
+                return ended
+            time.sleep(_LONGEST_PAUSE_S)
+        return ClientError(why)
+
+
+class Pipes:
+    """The pipes in a folder; made where they are missing, since either side may come first."""
+
+    def __init__(self, folder: Path) -> None:
+        """Make ready. Raises ClientError where there can be no pipes."""
+        if not hasattr(os, "mkfifo"):
+            raise ClientError("this system has no named pipes, by which HUGSIM's clients are spoken to")
+        folder.mkdir(parents=True, exist_ok=True)
+        self._observations, self._plans = folder / OBSERVATIONS, folder / PLANS
+        for path in (self._observations, self._plans):
+            try:
+                os.mkfifo(path)
+            except FileExistsError:
+                if not stat.S_ISFIFO(path.stat().st_mode):
+                    raise ClientError(f"{path} is there, and it is no pipe: move it away") from None
+            except OSError as problem:
+                raise ClientError(f"no pipe can be made: {problem}") from None
+
+    def send(self, message: memoryview | bytes, patience: Patience) -> None:
+        """Write a message for the client; done when it has taken all but what a pipe holds.
+
+        Raises ClientError where it does not come for it, leaves in the midst of it, or ends.
+        """
+        pipe = self._reached(patience)
+        try:
+            _widen(pipe)
+            rest = memoryview(message)
+            poll = select.poll()
+            poll.register(pipe, select.POLLOUT)
+            while rest:
+                if poll.poll(1000 * _LOOK_S):
+                    rest = rest[_written(pipe, rest) :]
+                else:
+                    patience.check("read the observation")
+        except BrokenPipeError:
+            raise patience.failed(
+                "read the observation", "the client closed obs_pipe before it had read the observation"
+            ) from None
+        finally:
+            os.close(pipe)
+
+    def receive(self, patience: Patience, most_bytes: int) -> bytes:
+        """Read the client's reply to its end.
+
+        Raises ClientError where none comes, where it is longer than allowed, or where the client ends.
+        """
+        pipe = os.open(self._plans, os.O_RDONLY | os.O_NONBLOCK)
+        try:
+            poll = select.poll()
+            poll.register(pipe, select.POLLIN)
+            reply = bytearray()
+            while True:
+                if not poll.poll(1000 * _LOOK_S):
+                    # What it wrote before it ended counts: look once more, after its end.
+                    try:
+                        patience.check("answered")
+                    except ClientError:
+                        if not poll.poll(0):
+                            raise
+                    continue
+                read = os.read(pipe, _CHUNK_BYTES)
+                reply += read
+                if len(reply) > most_bytes:
+                    raise ClientError(f"the client answers more than {most_bytes} bytes")
+                if not read and not reply:
+                    raise patience.failed("answered", "the client opened plan_pipe and closed it without an answer")
+                if not read:
+                    return bytes(reply)
+        finally:
+            os.close(pipe)
+
+    def _reached(self, patience: Patience) -> int:
+        """Open for writing once there is somebody who reads; there is no way to be told, so it is tried."""
+        pause = 0.0005
+        while True:
+            try:
+                return os.open(self._observations, os.O_WRONLY | os.O_NONBLOCK)
+            except OSError as problem:
+                if problem.errno != errno.ENXIO:
+                    raise ClientError(f"the pipe can't be opened: {problem}") from None
+            patience.check("opened obs_pipe")
+            time.sleep(pause)
+            pause = min(2 * pause, _LONGEST_PAUSE_S)
+
+
+def _written(pipe: int, rest: memoryview) -> int:
+    try:
+        return os.write(pipe, rest[:_ROOM_BYTES])
+    except BlockingIOError:
+        return 0
+
+
+def _widen(pipe: int) -> None:
+    """Let the pipe hold more at once, where the system can: a message is megabytes."""
+    import fcntl  # Windows has none: there is no way here on it, but this file can be read
+
+    resize = getattr(fcntl, "F_SETPIPE_SZ", None)
+    if resize is not None:
+        try:
+            fcntl.fcntl(pipe, resize, _ROOM_BYTES)
+        except OSError:
+            return

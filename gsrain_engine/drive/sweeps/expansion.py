@@ -1,0 +1,144 @@
+"""From a sweep to its jobs, in the order in which they are best run: all of a scene before those of the next."""
+
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from msgspec import structs
+
+from gsrain_engine.evaluate.detection.detector_place import find_detector
+from gsrain_engine.rain.calibration import calibration_names
+from gsrain_engine.scene.content_hash import file_hash, scene_hash
+
+from ..agents.registry import GROUP, agent_names
+from ..scenario.scenario import Scenario, load_scenario
+from .jitter import jittered
+from .job import DriveJob, Job, RenderJob
+from .program import program_version
+from .sweep import AgentChoice, DriveSweep, RenderSweep, Sweep, seeds_of
+
+
+def jobs_of(sweep: Sweep) -> list[Job]:
+    """Return every combination that a sweep asks for, each once. Reads all files that jobs depend on, to hash them.
+
+    Raises ValueError for a scenario, agent or scene that is not there, and OSError for a file that can't be read.
+    """
+    jobs = _drives(sweep) if isinstance(sweep, DriveSweep) else _renders(sweep)
+    jobs.sort(key=lambda job: job.scene)
+    return list({job.id: job for job in jobs}.values())
+
+
+def _drives(sweep: DriveSweep) -> list[Job]:
+    agents = [_complete(AgentChoice(name=each) if isinstance(each, str) else each) for each in sweep.agents]
+    _check(agents)
+    hashes = _Hashes()
+    scenarios = [load_scenario(name) for name in sweep.scenarios]
+    _check_names(scenarios)
+    return [
+        _drive(sweep, hashes, structs.replace(scenario, scene=scene), agent, intensity, seed)
+        for scenario in scenarios
+        for scene in sweep.scenes or (scenario.scene,)
+        for agent in agents
+        for intensity in sweep.intensities_mm_h
+        for seed in seeds_of(sweep)
+    ]
+
+
+def _drive(
+    sweep: DriveSweep, hashes: "_Hashes", scenario: Scenario, agent: AgentChoice, intensity: float, seed: int
+) -> DriveJob:
+    rain = structs.replace(scenario.rain, intensity_mm_h=intensity, seed=seed)
+    scenario = structs.replace(jittered(scenario, sweep.jitter, seed), rain=rain)
+    models = [user.model for user in scenario.road_users]
+    return DriveJob(
+        program=program_version(),
+        scene=scenario.scene,
+        scene_hash=hashes.scene(scenario.scene),
+        files=hashes.files([rain.calibration, *models, agent.detector, agent.description]),
+        seed=seed,
+        backend=sweep.backend,
+        scenario=scenario,
+        agent=agent,
+        agent_version=_version(agent.name),
+    )
+
+
+def _complete(agent: AgentChoice) -> AgentChoice:
+    """Name the detector that an agent would find by itself: the result depends on it."""
+    if agent.name != "camera-idm" or agent.detector is not None:
+        return agent
+    try:
+        return structs.replace(agent, detector=str(find_detector()))
+    except FileNotFoundError as error:
+        raise ValueError(f"agent {agent.title}: {error}") from None
+
+
+def _version(agent: str) -> str:
+    """Return name and version of the package that an agent comes from; nothing for those of this program."""
+    packages = [each.dist for each in entry_points(group=GROUP) if each.name == agent]
+    return next((f"{each.name} {each.version}" for each in packages if each is not None), "")
+
+
+def _renders(sweep: RenderSweep) -> list[Job]:
+    hashes = _Hashes()
+    recording = sweep.recording
+    recording.check()
+    if recording.path.is_absolute() or ".." in recording.path.parts:
+        raise ValueError(f"recording.output {recording.output}: expected a name in the clip's own folder, as clip.mp4")
+    if sweep.labels is not None and "depth" not in recording.passes:
+        recording = structs.replace(recording, passes=(*recording.passes, "depth"))
+    return [
+        RenderJob(
+            program=program_version(),
+            scene=scene,
+            scene_hash=hashes.scene(scene),
+            files=hashes.files([sweep.rain.calibration]),
+            seed=seed,
+            backend=sweep.backend,
+            rain=structs.replace(sweep.rain, intensity_mm_h=intensity, seed=seed),
+            recording=recording,
+            labels=sweep.labels,
+        )
+        for scene in sweep.scenes
+        for intensity in sweep.intensities_mm_h
+        for seed in seeds_of(sweep)[: None if intensity > 0 else 1]  # without drops all seeds show the same
+    ]
+
+
+class _Hashes:
+    """Each file is read once."""
+
+    def __init__(self) -> None:
+        self._scenes: dict[str, str] = {}
+        self._files: dict[str, str] = {}
+
+    def scene(self, name: str) -> str:
+        if name not in self._scenes:
+            self._scenes[name] = scene_hash(name)
+        return self._scenes[name]
+
+    def files(self, names: list[str | None]) -> dict[str, str]:
+        """Hash what names a file; shipped calibrations, models and descriptions belong to the program's version."""
+        found = [name for name in dict.fromkeys(names) if name and name not in calibration_names()]
+        found = [name for name in found if Path(name).is_file()]
+        for name in found:
+            if name not in self._files:
+                self._files[name] = file_hash(Path(name))
+        return {name: self._files[name] for name in sorted(found)}
+
+
+def _check(agents: list[AgentChoice]) -> None:
+    titles = [agent.title for agent in agents]
+    for agent in agents:
+        if agent.name not in agent_names():
+            raise ValueError(f"agent {agent.name}: there is none of that name, only {', '.join(agent_names())}")
+        if agent.detector is not None and not Path(agent.detector).is_file():
+            raise ValueError(f"agent {agent.title}: there is no detector {agent.detector}")
+        if titles.count(agent.title) > 1:
+            raise ValueError(f"two agents are called {agent.title!r}: give each a `label`")
+
+
+def _check_names(scenarios: list[Scenario]) -> None:
+    names = [scenario.name for scenario in scenarios]
+    doubled = next((name for name in names if names.count(name) > 1), None)
+    if doubled is not None:
+        raise ValueError(f"two scenarios are called {doubled!r}: tables could not tell them apart")

@@ -1,0 +1,63 @@
+"""A sweep from its jobs to its rows: what is done stays done, wherever it is stopped."""
+
+from collections.abc import Generator, Sequence
+from contextlib import closing
+from functools import partial
+from typing import NamedTuple, cast
+
+from gsrain_engine.scene.progress import Progress
+
+from .engine import Engine
+from .job import Job
+from .outcome import Outcome
+from .sweep_folder import SweepFolder
+from .work import do
+
+
+class SweepRun(NamedTuple):
+    """What a run of a sweep has done."""
+
+    done: int
+    """Jobs that have got a row now, failed ones among them."""
+    failed: int
+    """Of these."""
+
+
+def run_sweep(jobs: Sequence[Job], engine: Engine, folder: SweepFolder) -> Generator[Progress, None, SweepRun]:
+    """Do jobs and write a row for each, as it comes; yields after each.
+
+    Closing the generator, or an error, stops what is under way; every row that was written stays.
+
+    Raises:
+        OSError: When a row can't be written, or a worker says that nothing can be.
+    """
+    by_id = {job.id: job for job in jobs}
+    done = failed = 0
+    if not jobs:
+        return SweepRun(0, 0)
+    yield Progress(0.0, "Starting workers")
+    outcomes = cast(Generator[Outcome], engine.outcomes(partial(do, clips=folder.clips.absolute()), jobs))
+    with closing(outcomes):
+        for outcome in outcomes:
+            job = by_id[outcome.id]
+            if outcome.stops:
+                raise OSError(_stopped(folder, outcome.error or "", done))
+            try:
+                folder.keep(job, outcome)
+            except OSError as error:
+                raise OSError(_stopped(folder, error.strerror or str(error), done)) from error
+            done, failed = done + 1, failed + (outcome.error is not None)
+            counted = f"{done} of {len(jobs)}" + (f", {failed} failed" if failed else "")
+            yield Progress(done / len(jobs), f"{counted}: {_described(job, outcome)}")
+    return SweepRun(done, failed)
+
+
+def _described(job: Job, outcome: Outcome) -> str:
+    if outcome.error is not None:
+        return f"{job.title}: {outcome.error}"
+    end = outcome.values.get("end")
+    return f"{job.title}: {end}" if end else job.title
+
+
+def _stopped(folder: SweepFolder, reason: str, done: int) -> str:
+    return f"{folder.path}: stopped after {done} rows: {reason}; what was written is whole, run it again to go on"

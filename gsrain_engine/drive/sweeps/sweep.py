@@ -1,0 +1,115 @@
+"""What a sweep runs: every combination of scenes, scenarios, intensities, seeds and agents; one value, a YAML file."""
+
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta, Struct
+
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.render.backends import Backend
+from gsrain_engine.render.objects.label_files import LabelFormat
+from gsrain_engine.render.recording import Recording
+from gsrain_engine.shipped_configs import load_config, shipped_names
+
+from .jitter import Jitter
+
+_FOLDER = "sweeps"
+
+Intensity = Annotated[float, Meta(ge=0, le=100)]
+Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
+Seeds = Annotated[int, Meta(ge=1, le=100_000)] | Annotated[tuple[Seed, ...], Meta(min_length=1)]
+
+
+class AgentChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An agent with what it takes."""
+
+    name: Annotated[str, Meta(min_length=1, title="Name", description="Of those of gsrain drive --agent.")]
+    label: Annotated[str | None, Meta(title="Label", description="What tables call it; none: name and detector.")] = (
+        None
+    )
+    detector: Annotated[str | None, Meta(title="Detector", description="Its ONNX file.")] = None
+    description: Annotated[
+        str | None, Meta(title="Description", description="How the detector is used: a shipped name or a YAML file.")
+    ] = None
+    url: Annotated[str | None, Meta(title="URL", description="Where an agent listens that runs elsewhere.")] = None
+
+    @property
+    def title(self) -> str:
+        """What tables call it."""
+        return self.label or " ".join([self.name, *([] if self.detector is None else [Path(self.detector).stem])])
+
+
+class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="drive"):
+    """Closed-loop drives. A seed means the same at every intensity, so that results can be compared in pairs."""
+
+    scenarios: Annotated[
+        tuple[str, ...], Meta(min_length=1, title="Scenarios", description="Shipped names, or scenario files.")
+    ]
+    intensities_mm_h: Annotated[
+        tuple[Intensity, ...], Meta(min_length=1, title="Intensities", extra={"unit": "mm/h"})
+    ] = (0.0, 1.2, 8.5, 12.0)
+    agents: Annotated[
+        tuple[str | AgentChoice, ...],
+        Meta(min_length=1, title="Agents", description="Names, or names with a detector, its description, a URL."),
+    ] = ("oracle-idm",)
+    seeds: Annotated[
+        Seeds, Meta(title="Seeds", description="How many (0, 1, ...), or a list: of drops, agents and jitter.")
+    ] = 20
+    scenes: Annotated[
+        tuple[str, ...], Meta(title="Scenes", description="None takes the scene that each scenario names.")
+    ] = ()
+    jitter: Annotated[Jitter, Meta(title="Jitter", description="How far seeds other than 0 vary the start.")] = Jitter()
+    backend: Annotated[
+        Backend, Meta(title="Back end", description="What draws; cpu gives the same bytes on every machine.")
+    ] = "auto"
+    output: Annotated[str | None, Meta(title="Output", description="Folder of rows and tables.")] = None
+
+
+class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):
+    """Clips or frames with labels: a data set. The labels of a view are the same at every intensity."""
+
+    recording: Annotated[
+        Recording,
+        Meta(
+            title="Recording", description="As gsrain render takes it; its output is a name in the clip's own folder."
+        ),
+    ]
+    scenes: Annotated[tuple[str, ...], Meta(min_length=1, title="Scenes")] = ("street",)
+    intensities_mm_h: Annotated[
+        tuple[Intensity, ...], Meta(min_length=1, title="Intensities", extra={"unit": "mm/h"})
+    ] = (0.0, 1.2, 8.5, 12.0)
+    seeds: Annotated[Seeds, Meta(title="Seeds", description="How many (0, 1, ...), or a list: of drops.")] = 1
+    rain: Annotated[Rain, Meta(title="Rain", description="Everything but intensity and seed.")] = Rain()
+    labels: Annotated[
+        LabelFormat | None, Meta(title="Labels", description="coco or kitti; needs a scene with actors.")
+    ] = None
+    backend: Annotated[
+        Backend, Meta(title="Back end", description="What draws; cpu gives the same bytes on every machine.")
+    ] = "auto"
+    output: Annotated[str | None, Meta(title="Output", description="Folder of rows, clips and tables.")] = None
+
+
+Sweep = DriveSweep | RenderSweep
+
+
+def seeds_of(sweep: Sweep) -> tuple[int, ...]:
+    """Return the seeds of a sweep, each once."""
+    return tuple(range(sweep.seeds)) if isinstance(sweep.seeds, int) else tuple(dict.fromkeys(sweep.seeds))
+
+
+def sweep_names() -> list[str]:
+    """Names of the shipped sweeps."""
+    return shipped_names(_FOLDER)
+
+
+def load_sweep(name: str | Path) -> Sweep:
+    """Load a shipped sweep by name, or a sweep file by path.
+
+    Raises ValueError with the file, the field and what is allowed.
+    """
+    sweep = load_config(_FOLDER, name, object, "sweep")
+    try:
+        return msgspec.convert(sweep, Sweep)  # pyright: ignore[reportArgumentType]: a union is a type to msgspec
+    except msgspec.ValidationError as error:
+        raise ValueError(f"sweep {name}: {error}") from None

@@ -1,0 +1,101 @@
+"""`gsrain drive` on a small scene: what it writes, twice the same bytes, and bad input."""
+
+import json
+
+import av
+import pytest
+
+from app.command_line import BAD_INPUT, run
+from gsrain_engine.drive.scenario.scenario import load_scenario, scenario_names
+from gsrain_engine.drive.simulation.rollout_files import read_rollout
+from gsrain_engine.scene.formats import write_scene
+from small_scene import small_scene
+
+LEAD = """
+name: standing
+scene: {scene}
+picture_width_px: 96
+speed_m_s: 2.0
+rain: {{intensity_mm_h: 8.5}}
+road_users:
+  - {{id: lead, model: hatchback, ahead_m: 12.0, behaviour: {{kind: stationary}}}}
+duration_s: 6.0
+"""
+CONTRACT = (
+    "collision", "min_ttc_s", "planned_point_collision_rate", "planned_frame_collision_rate", "comfort_executed",
+    "comfort_planned", "steps", "agent", "intensity_mm_h",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("drive")
+    write_scene(small_scene(), folder / "scene")
+    (folder / "standing.yaml").write_text(LEAD.format(scene=folder / "scene"))
+    return folder / "standing.yaml"
+
+
+def drive(*arguments):
+    return run(["drive", *map(str, arguments)])
+
+
+def test_a_driver_who_never_brakes_hits_the_car_and_is_filmed(scenario, tmp_path, capsys):
+    for folder in (tmp_path / "once", tmp_path / "twice"):
+        options = ("-o", folder, "--fps", 2, "--backend", "cpu", "--json", folder / "numbers.json")
+        assert drive(scenario, "--agent", "constant-velocity", *options) == 0
+    numbers = json.loads((tmp_path / "once" / "numbers.json").read_text())
+    assert set(CONTRACT) <= set(numbers)
+    assert numbers["collision"] and numbers["collided_with"] == "lead" and numbers["min_ttc_s"] == 0
+    assert numbers["intensity_mm_h"] == 8.5 and numbers["agent"] == "constant-velocity"
+    # 7.675 m from bumper to bumper at 2 m/s: touched in the sixteenth step. Plans reach 6 m: from the fifth on into it.
+    assert numbers["steps"] == numbers["frames"] == 16 and numbers["collision_time_s"] == 4.0
+    assert numbers["planned_frame_collision_rate"] == pytest.approx(12 / 16)
+    name = "standing_constant-velocity_8.5mm_seed0"
+    rollout = read_rollout(tmp_path / "once" / f"{name}.jsonl")
+    assert rollout.end == "collision" and len(rollout.steps) == 17
+    with av.open(str(tmp_path / "once" / f"{name}.mp4")) as film:
+        assert sum(1 for _ in film.decode(video=0)) == 11  # 4 s at 2 a second, the last moment, and a second of it
+    for file in (f"{name}.jsonl", f"{name}.mp4", "table.csv", "table.md", "standing_constant-velocity.png"):
+        assert (tmp_path / "once" / file).read_bytes() == (tmp_path / "twice" / file).read_bytes(), file
+    assert "Driving in the rain" in (tmp_path / "once" / "report.html").read_text()
+    assert "standing" in capsys.readouterr().out
+
+
+def test_an_oracle_stops_at_every_intensity(scenario, tmp_path):
+    options = ("--rain", "0,1.2,12", "--export", "parquet,mcap,xosc", "--json", tmp_path / "n.json")
+    assert drive(scenario, "--agent", "oracle-idm", "-o", tmp_path, *options) == 0
+    rows = json.loads((tmp_path / "n.json").read_text())["rows"]
+    assert [row["intensity_mm_h"] for row in rows] == [0, 1.2, 12]
+    assert not any(row["collision"] for row in rows) and len({row["min_ttc_s"] for row in rows}) == 1
+    for ending in ("jsonl", "parquet", "mcap", "xosc"):
+        assert (tmp_path / f"standing_oracle-idm_12mm_seed0.{ending}").stat().st_size > 1000
+    assert not list(tmp_path.glob("*.mp4"))
+    assert "| standing | oracle-idm | Clear | No |" in (tmp_path / "table.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("nowhere",), "scenario nowhere: no such file"),
+        (("--agent", "nobody"), "there is only constant-velocity"),
+        (("--rain", "a lot"), "--rain a lot: expected mm/h"),
+        (("--rain", "101"), "--rain 101: expected mm/h within 0..100"),
+        (("--export", "csv"), "--export csv: there is only parquet, mcap, xosc"),
+        (("--fps", "0"), "--fps 0: must be within 1..60"),
+        (("--rig", "none", "--agent", "oracle-idm"), "has no rig 'none'"),
+        (("--agent", "hugsim"), "--hugsim-dir DIR"),
+        (("--scene", "nowhere"), "nowhere"),
+    ],
+)
+def test_bad_input_gets_one_line(arguments, says, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert drive(*arguments) == BAD_INPUT
+    said = capsys.readouterr().err
+    assert says in said and said.count("\n") == 1
+
+
+def test_the_papers_scenarios_are_shipped():
+    assert {"stationary-lead", "cut-in"} <= set(scenario_names())
+    standing, cutting = load_scenario("stationary-lead"), load_scenario("cut-in")
+    assert (standing.speed_m_s, standing.road_users[0].ahead_m, standing.road_users[0].speed_m_s) == (10, 40, 0)
+    assert (cutting.speed_m_s, cutting.road_users[0].ahead_m, cutting.road_users[0].speed_m_s) == (5, 10, 5)

@@ -1,0 +1,129 @@
+"""The two named pipes and the watch over them."""
+
+import os
+import stat
+import threading
+
+import pytest
+
+from gsrain_engine.drive.agents.client_error import ClientError
+from gsrain_engine.drive.hugsim.pipes import Patience, Pipes
+
+MESSAGE = bytes(range(256)) * 12_000  # 3 MB: more than a pipe holds
+
+
+def nobody_known():
+    return None
+
+
+def patience(seconds=20.0, ended=nobody_known):
+    return Patience(seconds, ended)
+
+
+def other_end(work):
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    return thread
+
+
+def test_pipes_are_made_where_missing(tmp_path):
+    (tmp_path / "drive").mkdir()
+    os.mkfifo(tmp_path / "drive" / "plan_pipe")  # the client came first
+    Pipes(tmp_path / "drive")
+    assert all(stat.S_ISFIFO((tmp_path / "drive" / name).stat().st_mode) for name in ("obs_pipe", "plan_pipe"))
+    Pipes(tmp_path / "drive")
+
+
+def test_something_else_in_its_place(tmp_path):
+    (tmp_path / "obs_pipe").write_text("my notes")
+    with pytest.raises(ClientError, match="obs_pipe is there, and it is no pipe"):
+        Pipes(tmp_path)
+    assert (tmp_path / "obs_pipe").read_text() == "my notes"
+
+
+def test_a_long_message_arrives_whole_and_is_answered(tmp_path):
+    pipes, got = Pipes(tmp_path), []
+
+    def client():
+        with (tmp_path / "obs_pipe").open("rb") as pipe:
+            got.append(pipe.read())
+        with (tmp_path / "plan_pipe").open("wb") as pipe:
+            pipe.write(b"left")
+            pipe.flush()
+            pipe.write(b" and right")
+
+    thread = other_end(client)
+    watch = patience()
+    pipes.send(memoryview(MESSAGE), watch)
+    assert pipes.receive(watch, 100) == b"left and right"
+    thread.join()
+    assert got == [MESSAGE]
+
+
+def test_nobody_comes(tmp_path):
+    with pytest.raises(ClientError, match=r"has not opened obs_pipe within 0\.05 s"):
+        Pipes(tmp_path).send(b"anybody?", patience(0.05))
+
+
+def test_nobody_answers(tmp_path):
+    with pytest.raises(ClientError, match=r"has not answered within 0\.05 s"):
+        Pipes(tmp_path).receive(patience(0.05), 100)
+
+
+def test_a_client_that_ended_is_not_waited_for(tmp_path):
+    with pytest.raises(ClientError, match="the client ended with exit code 3 before it had opened obs_pipe"):
+        Pipes(tmp_path).send(b"", patience(600, lambda: "ended with exit code 3"))
+
+
+def test_an_answer_counts_though_its_client_ended(tmp_path):
+    pipes = Pipes(tmp_path)
+    wrote = threading.Event()
+
+    def client():
+        with (tmp_path / "plan_pipe").open("wb") as pipe:
+            pipe.write(b"farewell")
+        wrote.set()
+
+    def ended():
+        wrote.wait(20)  # it ends while we look whether it lives
+        return "ended with exit code 0"
+
+    other_end(client)
+    assert pipes.receive(patience(600, ended), 100) == b"farewell"
+
+
+def test_reader_that_leaves(tmp_path, monkeypatch):
+    monkeypatch.setattr("gsrain_engine.drive.hugsim.pipes._MOMENTS", 1)
+    pipes = Pipes(tmp_path)
+
+    def client():
+        with (tmp_path / "obs_pipe").open("rb", buffering=0) as pipe:
+            pipe.read(10)
+
+    other_end(client)
+    with pytest.raises(ClientError, match="closed obs_pipe before it had read the observation"):
+        pipes.send(memoryview(MESSAGE), patience())
+
+
+def test_writer_that_says_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr("gsrain_engine.drive.hugsim.pipes._MOMENTS", 1)
+    pipes = Pipes(tmp_path)
+    other_end(lambda: (tmp_path / "plan_pipe").open("wb").close())
+    with pytest.raises(ClientError, match="opened plan_pipe and closed it without an answer"):
+        pipes.receive(patience(), 100)
+
+
+def test_writer_that_does_not_stop(tmp_path):
+    pipes = Pipes(tmp_path)
+
+    def client():
+        try:
+            with (tmp_path / "plan_pipe").open("wb", buffering=0) as pipe:
+                while True:
+                    pipe.write(b"and " * 1000)
+        except BrokenPipeError:
+            pass
+
+    other_end(client)
+    with pytest.raises(ClientError, match="answers more than 10000 bytes"):
+        pipes.receive(patience(), 10_000)

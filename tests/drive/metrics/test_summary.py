@@ -1,0 +1,77 @@
+"""All metrics of a run in one value, and that they do not depend on where in the world it was."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from gsrain_engine.drive.metrics.metrics_files import write_metrics_csv
+from gsrain_engine.drive.metrics.summary import DriveMetrics, measured
+from small_rollout import approach, ego, rollout, step
+
+_PROMISED = (
+    "collision", "min_ttc_s", "planned_point_collision_rate", "planned_frame_collision_rate", "comfort_executed",
+    "comfort_planned", "steps", "agent", "intensity_mm_h",
+)  # fmt: skip
+
+
+def test_a_run_into_a_standing_car():
+    metrics = measured(approach(lead_x=40.0, moments=20, intensity_mm_h=8.5, seed=3))
+    plain = msgspec.json.decode(msgspec.json.encode(metrics))
+    assert set(_PROMISED) <= set(plain)
+    assert metrics.collision and metrics.collided_with == "lead" and metrics.collision_time_s == 3.5
+    assert (metrics.min_ttc_s, metrics.min_ttc_time_s, metrics.min_gap_m) == (0.0, 3.5, 0.0)
+    assert (metrics.steps, metrics.frames, metrics.planned_points) == (14, 14, 6)
+    assert metrics.intensity_mm_h == 8.5 and metrics.seed == 3 and metrics.duration_s == 3.5
+    assert metrics.distance_m == pytest.approx(35.0) and metrics.mean_speed_m_s == pytest.approx(10.0)
+    assert metrics.hardest_braking_m_s2 == 0.0 and not metrics.with_background and metrics.dac is None
+    assert msgspec.convert(plain, DriveMetrics) == metrics
+
+
+def test_a_moment_is_enough():
+    metrics = measured(rollout([step(0, ego())], end="agent"))
+    assert (metrics.steps, metrics.mean_speed_m_s, metrics.comfort_executed, metrics.hdscore) == (0, 0.0, None, None)
+    assert metrics.min_ttc_s == 10.0 and metrics.min_gap_m is None
+
+
+def test_a_vehicle_that_can_not_be_read_is_named():
+    with pytest.raises(ValueError, match=r"scenario\.vehicle: .*length_m"):
+        measured(replace(approach(), scenario={"vehicle": {"length_m": "long"}}))
+
+
+@settings(max_examples=15)
+@given(st.floats(-math.pi, math.pi), st.floats(-500, 500), st.floats(-500, 500))
+def test_metrics_do_not_depend_on_where_the_world_begins(turn, x, y):
+    run = approach(lead_x=33.0, moments=9)
+    here, there = measured(run), measured(_elsewhere(run, turn, x, y))
+    for name, value in msgspec.structs.asdict(here).items():
+        other = getattr(there, name)
+        assert other == (pytest.approx(value, abs=1e-6) if isinstance(value, float) else value), name
+
+
+def _elsewhere(run, turn, x, y):
+    cosine, sine = np.cos(turn), np.sin(turn)
+
+    def moved(record):
+        return replace(
+            record, x_m=float(cosine * record.x_m - sine * record.y_m + x),
+            y_m=float(sine * record.x_m + cosine * record.y_m + y), yaw_rad=float(record.yaw_rad + turn),
+        )  # fmt: skip
+
+    steps = [replace(each, ego=moved(each.ego), road_users=tuple(map(moved, each.road_users))) for each in run.steps]
+    return replace(run, steps=tuple(steps))
+
+
+def test_metrics_as_csv(tmp_path):
+    metrics = [measured(approach(moments=5)), measured(approach(moments=20))]
+    write_metrics_csv(tmp_path / "runs.csv", metrics)
+    first, *rest = (tmp_path / "runs.csv").read_text().splitlines()
+    columns = first.split(",")
+    assert columns == list(DriveMetrics.__struct_fields__)
+    rows = [dict(zip(columns, line.split(","), strict=True)) for line in rest]
+    assert [row["collision"] for row in rows] == ["false", "true"]
+    assert rows[0]["collided_with"] == "" and float(rows[0]["min_ttc_s"]) == metrics[0].min_ttc_s

@@ -1,0 +1,26 @@
+"""What workers of tests do instead of driving: answer at once, or die."""
+
+import os
+import signal
+from pathlib import Path
+
+from gsrain_engine.drive.sweeps.outcome import Outcome
+
+
+def answer(job):
+    return Outcome(id=job.id, values={"end": job.scene})
+
+
+def die_once(job, folder):
+    """Die over each job of seed 1 the first time."""
+    mark = Path(folder) / job.id
+    if job.seed == 1 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return answer(job)
+
+
+def die_over_one(job):
+    if job.seed == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return answer(job)

@@ -1,0 +1,95 @@
+import errno
+import os
+
+import pytest
+from msgspec import structs
+
+from gsrain_engine.drive.simulation.rollout_files import read_rollout
+from gsrain_engine.drive.sweeps import sweep_folder
+from gsrain_engine.drive.sweeps.engine import HereEngine
+from gsrain_engine.drive.sweeps.outcome import Outcome
+from gsrain_engine.drive.sweeps.run import SweepRun, run_sweep
+from gsrain_engine.drive.sweeps.sweep_folder import SweepFolder
+
+from .other_works import answer
+from .small_sweep import small_jobs
+
+
+def finished(work):
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value
+
+
+def test_it_goes_on_where_it_was_stopped(tmp_path):
+    jobs, folder = small_jobs(tmp_path), SweepFolder(tmp_path / "out")
+    work = run_sweep(jobs, HereEngine(), folder)
+    for _ in range(3):
+        next(work)
+    work.close()
+    rest = folder.to_do(jobs)
+    assert rest == jobs[2:]
+    assert finished(run_sweep(rest, HereEngine(), folder)) == SweepRun(2, 0)
+    assert folder.to_do(jobs) == [] and folder.others(jobs) == 0
+    for job in jobs:
+        rollout = read_rollout(folder.rollouts / f"{job.id}.jsonl")
+        assert (rollout.seed, rollout.scene_hash, rollout.software["gsrain"]) == (job.seed, job.scene_hash, job.program)
+        assert rollout.scenario["rain"]["intensity_mm_h"] == job.scenario.rain.intensity_mm_h
+
+
+def test_a_failed_job_is_a_row_and_done_again_only_when_asked(tmp_path):
+    jobs = small_jobs(tmp_path, seeds=1)
+    scenario = jobs[0].scenario
+    users = (structs.replace(scenario.road_users[0], model="absent.ply"),)
+    broken = structs.replace(jobs[0], scenario=structs.replace(scenario, road_users=users))
+    folder = SweepFolder(tmp_path / "out")
+    assert finished(run_sweep([broken, jobs[1]], HereEngine(), folder)) == SweepRun(2, 1)
+    row = folder.read([broken])[broken.id]
+    assert row["status"] == "failed" and row["error"].startswith("model absent.ply: no such file")
+    assert folder.to_do([broken, jobs[1]]) == []
+    assert folder.to_do([broken, jobs[1]], retry_failed=True) == [broken]
+
+
+def test_a_damaged_row_counts_as_missing(tmp_path):
+    jobs, folder = small_jobs(tmp_path), SweepFolder(tmp_path / "out")
+    for job in jobs:
+        folder.keep(job, answer(job))
+    (folder.rows / f"{jobs[0].id}.parquet").write_bytes(b"PAR1 torn")
+    (folder.rows / f"{jobs[1].id}.parquet").replace(folder.rows / f"{jobs[2].id}.parquet")
+    assert folder.to_do(jobs) == jobs[:3]
+    assert folder.others(jobs[3:]) == 2
+
+
+def test_a_full_disk_stops_it_with_a_sentence_and_loses_nothing(tmp_path, monkeypatch):
+    jobs, folder = small_jobs(tmp_path), SweepFolder(tmp_path / "out")
+    written = []
+
+    def full(path, rollout):
+        if len(written) == 2:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        written.append(path)
+
+    monkeypatch.setattr(sweep_folder, "write_rollout", full)
+    with pytest.raises(OSError, match="stopped after 2 rows: No space left on device; what was written is whole"):
+        finished(run_sweep(jobs, HereEngine(), folder))
+    assert folder.to_do(jobs) == jobs[2:]
+    assert all(file.suffix == ".parquet" and not file.name.startswith(".") for file in folder.rows.iterdir())
+
+
+def test_a_scene_that_changes_meanwhile_stops_it_and_fails_no_job(tmp_path):
+    jobs, folder = small_jobs(tmp_path), SweepFolder(tmp_path / "out")
+    scene = tmp_path / "road" / "scene.json"
+    scene.write_bytes(scene.read_bytes() + b"\n")
+    with pytest.raises(OSError, match="road is not what it was when the sweep began"):
+        finished(run_sweep(jobs, HereEngine(), folder))
+    assert folder.read(jobs) == {}
+
+
+def test_of_equal_jobs_the_last_row_wins_whole(tmp_path):
+    job, folder = small_jobs(tmp_path)[0], SweepFolder(tmp_path / "out")
+    folder.keep(job, Outcome(id=job.id, error="first"))
+    folder.keep(job, answer(job))
+    assert folder.read([job])[job.id]["status"] == "finished"
+    assert len(list(folder.rows.iterdir())) == 1 and len(folder.log.read_text().splitlines()) == 2
