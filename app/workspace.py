@@ -8,6 +8,7 @@ from imgui_bundle import hello_imgui, imgui
 
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.session.capture.capture_textures import CaptureTextures
+from gsrain_engine.session.drive.mosaic_pictures import MosaicPictures
 from gsrain_engine.session.jobs.job_previews import JobPreviews
 from gsrain_engine.session.picture.kept_texture import KeptTexture
 from gsrain_engine.session.picture.live_view import LiveView
@@ -64,6 +65,7 @@ class Workspace:
         self._previews = JobPreviews(context)
         self._rainy = KeptTexture(context)
         self._captures = CaptureTextures(context)
+        self._mosaic = MosaicPictures(context)
         self._palette = CommandPalette()
         self._pace = Pace()
         self._last_problem = ""
@@ -103,6 +105,7 @@ class Workspace:
         # What a worker says is looked at now and then: frames would take the processor from it.
         idling.fps_idle = _WATCHING_FPS if session.running_jobs else _IDLE_FPS
         resting = not (session.clock.playing or session.is_bringing_in or session.budget.is_settling)
+        resting = resting and not session.drives.mosaic.is_behind
         idling.enable_idling = resting and self.view.is_settled and not self.view.is_catching_up
         idling.fps_max = 0.0 if self.view.is_settled and session.busy is None else _WAITING_FPS
         if session.is_leaving:
@@ -131,6 +134,7 @@ class Workspace:
         try:
             textures = self.view.draw(width, height)
             self._captures.draw_points(self.session, self.session.shot(width, height).camera)
+            self._mosaic.update(self.session, self.view)
         except Exception as problem:  # whatever a driver or a scene does: say it once, keep picture and window
             if str(problem) != self._last_problem:
                 self._last_problem = str(problem)

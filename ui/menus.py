@@ -7,7 +7,7 @@ from gsrain_engine.session.session import Session
 from .actions import ACTIONS
 from .actions.action import Action
 
-MENUS = ("File", "Edit", "Select", "Scene", "Rain", "Timeline", "View", "Help")
+MENUS = ("File", "Edit", "Select", "Scene", "Rain", "Drive", "Timeline", "View", "Help")
 
 
 def draw_menus(session: Session) -> None:

@@ -10,7 +10,7 @@ from .tools import TOOLS
 
 def status_bar(session: Session) -> None:
     """Draw the bar's content."""
-    state = session.rainfall.state_at(session.clock.time_s)
+    state = session.shown_rainfall.state_at(session.clock.time_s)
     selected = sum(each.marks.selected.size for each in session.scene.members if each.marks.selected is not None)
     words = [session.scene.name, f"{session.clock.time_s:.1f} s", f"{state.intensity_mm_h:.1f} mm/h"]
     if selected:

@@ -22,6 +22,7 @@ from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 
 from .capture.capture_view import CaptureView
+from .drive.drives import Drives
 from .edited_document import EditedDocument
 from .files.kept_preferences import KeptPreferences
 from .files.kept_view import look_again
@@ -108,6 +109,7 @@ class Session(EditedDocument):
         self.captures = CaptureView()
         self.selecting = SelectionOptions()
         self._files = ThreadPoolExecutor(max_workers=1, thread_name_prefix="files")
+        self.drives = Drives(self._files)
         self.rainy, self.studio = RainyLook(self._files), TransferStudio(self._files)
         self.questions: list[Question] = []
         """What a person is asked, one after the other."""
@@ -147,6 +149,7 @@ class Session(EditedDocument):
     def enter(self, opened: Opened) -> None:
         """Go to another document."""
         self._cancel_jobs(of_the_scene=True)
+        self.drives.close_all(self)
         scene = opened.scene
         rain, weather = rain_of(scene) or self.rain, weather_of(scene) or WITHOUT_CHANGE
         self.history = History.beginning_with(Document(scene, rain, weather))
@@ -188,7 +191,7 @@ class Session(EditedDocument):
     @property
     def is_bringing_in(self) -> bool:
         """Whether something is on its way into the picture, which each frame goes on with."""
-        waits = self.lab.busy is not None or self.captures.is_working
+        waits = self.lab.busy is not None or self.captures.is_working or self.drives.is_working
         return self.busy is not None or self.staged is not None or waits
 
     # Questions and preferences
@@ -260,13 +263,14 @@ class Session(EditedDocument):
         """Let time go by and take in what background work has finished. Once a frame."""
         self.clock.advance(real_s, self.span_s)
         self._shown_preview, self.preview = self.preview, None
-        self.following.ride(self.scene, self.clock.time_s, self.navigation)
+        self.following.ride(self.shown_scene, self.clock.time_s, self.navigation)
         self.files.poll()
         self._preferences.poll()
         if self.rain.roofs:
             self._roofs.look_at(self.scene)
         self.lab.poll()
         self.captures.poll(self)
+        self.drives.poll(self)
         for job in self.running_jobs:
             job.poll(self)
             if job.error is not None:
@@ -277,7 +281,17 @@ class Session(EditedDocument):
     @property
     def wetness_now(self) -> float:
         """Share of the soaked colours at the present time, 0..1."""
-        return self.rainfall.wetness_at(self.clock.time_s)
+        return self.shown_rainfall.wetness_at(self.clock.time_s)
+
+    @property
+    def shown_scene(self) -> Scene:
+        """What the viewport shows: what a tool drags, with the road users of a roll-out that plays."""
+        return self.drives.scene_in_place_of(self.scene if self._shown_preview is None else self._shown_preview)
+
+    @property
+    def shown_rainfall(self) -> Rainfall:
+        """The rain that the viewport shows: the document's, or that of a roll-out that plays."""
+        return self.drives.rainfall(roofs=self._roofs.knows(self.scene)) or self._drawn_rainfall
 
     @property
     def sky(self) -> Color:
@@ -287,11 +301,11 @@ class Session(EditedDocument):
     @property
     def sides(self) -> list[Side]:
         """What the viewport shows: one side, or two from left to right."""
-        shown = self.scene if self._shown_preview is None else self._shown_preview
-        here = Side("", shown, self._drawn_rainfall)
+        shown, rainfall = self.shown_scene, self.shown_rainfall
+        here = Side("", shown, rainfall)
         if self.view.split == "clear | rainy":
-            clear = self.rain.without_rain
-            return [Side("clear", self.scene, self._rainfall_of(clear, WITHOUT_CHANGE)), here._replace(label="rainy")]
+            clear = rainfall.rain.without_rain
+            return [Side("clear", shown, self._rainfall_of(clear, WITHOUT_CHANGE)), here._replace(label="rainy")]
         if self.view.split == "before | after":
             before = self.history.previous
             rainfall = self._rainfall_of(before.rain, before.weather)
@@ -307,7 +321,7 @@ class Session(EditedDocument):
     @property
     def span_s(self) -> tuple[float, float]:
         """First and last moment that play: as a person has set them, else those of the flight or the traffic."""
-        return self.clock.span_s or content_span(self.scene, self.weather)
+        return self.clock.span_s or self.drives.span_s() or content_span(self.scene, self.weather)
 
     def ride(self, on: bool) -> None:
         """Ride along the camera path, or leave it at the place where the camera is now."""
@@ -318,6 +332,7 @@ class Session(EditedDocument):
 
     def stop_riding(self) -> None:
         """Leave the camera path, at the place where the camera is now."""
+        self.drives.chase.let_go()
         if self.view.follow_path:
             self.navigation.look_like(self.shot(*_VIEW_SIZE).camera)
             self.view.follow_path = False
@@ -329,7 +344,7 @@ class Session(EditedDocument):
             camera = self.path.camera(t, width, height)
             return Shot(camera, t, self.path.velocity(t), camera.fx * focal_scale)
         camera = self.navigation.camera(width, height)
-        ride = self.following.velocity_m_s
+        ride = self.following.velocity_m_s if self.drives.chase.velocity_m_s is None else self.drives.chase.velocity_m_s
         velocity = self.navigation.velocity_m_s if ride is None else self.navigation.velocity_m_s + ride
         return Shot(camera, t, velocity, camera.fx * focal_scale)
 

@@ -2,6 +2,7 @@
 
 from .action import Action
 from .capture import CAPTURE_ACTIONS, CAPTURE_FILE_ACTIONS
+from .drive import DRIVE_ACTIONS
 from .edits import EDIT_ACTIONS
 from .file import FILE_ACTIONS, LEAVING_ACTIONS
 from .help import HELP_ACTIONS
@@ -22,6 +23,7 @@ ACTIONS: tuple[Action, ...] = (
     *SELECTION_ACTIONS,
     *RAIN_ACTIONS,
     *JOB_ACTIONS,
+    *DRIVE_ACTIONS,
     *TIMELINE_ACTIONS,
     *VIEW_ACTIONS,
     *CAPTURE_ACTIONS,

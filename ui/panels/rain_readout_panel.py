@@ -14,7 +14,7 @@ from .rain_panel import WARNING
 
 def rain_readout_panel(session: Session) -> None:
     """Draw the panel."""
-    state = session.rainfall.state_at(session.clock.time_s)
+    state = session.shown_rainfall.state_at(session.clock.time_s)
     if state.intensity_mm_h == 0:
         imgui.text_wrapped("0 mm/h now: no rain at all." if session.weather.keys else "0 mm/h: no rain at all.")
         return
@@ -31,7 +31,7 @@ def rain_readout_panel(session: Session) -> None:
         ),
         (
             "Table has as many at",
-            _by_number(state.density_m3, session.rainfall.calibration),
+            _by_number(state.density_m3, session.shown_rainfall.calibration),
             "Intensity at which the calibration's own table has as many drops as are drawn.",
         ),
         ("Gamma shape", f"{state.shape:.3f}", "mu of the gamma law of diameters."),

@@ -7,9 +7,12 @@ from typing import Literal
 from gsrain_engine.session.session import Session
 
 from .calibration_panel import calibration_panel
+from .camera_mosaic_panel import camera_mosaic_panel
 from .capture_panel import capture_panel
 from .disdrometer_panel import disdrometer_panel
 from .display_panel import display_panel
+from .drive_panel import drive_panel
+from .drive_plots import drive_plots
 from .edit_panel import edit_panel
 from .history_panel import history_panel
 from .jobs_panel import jobs_panel
@@ -44,14 +47,17 @@ PANELS = (
     Panel("Edit", "right", edit_panel),
     Panel("Select", "right", select_panel),
     Panel("Record", "right", record_panel),
+    Panel("Drive", "right", drive_panel),
     Panel("Calibration", "right", calibration_panel),
     Panel("Capture", "right", capture_panel),
     Panel("Read-out", "right bottom", rain_readout_panel),
     Panel("Shower", "right bottom", shower_panel),
     Panel("Disdrometer", "right bottom", disdrometer_panel),
+    Panel("Rig cameras", "right bottom", camera_mosaic_panel),
     Panel("Jobs", "right bottom", jobs_panel),
     Panel("Display", "right bottom", display_panel),
     Panel("Statistics", "right bottom", statistics_panel),
     Panel("Log", "right bottom", log_panel),
     Panel("Timeline", "bottom", timeline_panel),
+    Panel("Drive plots", "bottom", drive_plots),
 )

@@ -38,6 +38,9 @@ _LOADING_S = 2.0
 _UPLOAD_S = 0.01
 """Of each frame, for bringing slices of a scene to the GPU."""
 
+_ASIDE = 1 / 4
+"""Share of the Gaussians in small pictures beside the viewport, while time goes on."""
+
 _AT_ONCE = 1 << 16
 """So many new Gaussians a frame uploads by the way; for more of them the last scene stays in the picture meanwhile."""
 
@@ -95,7 +98,7 @@ class LiveView:
         if session.screenshot is not None:
             detail = EXACT
         shot = self._shot(width, height, detail)
-        raining = session.rainfall.can_rain
+        raining = session.shown_rainfall.can_rain
         if session.sky_is_stale and raining and self._can_draw:
             self._look_at_sky(shot)
         if session.sky_pick is not None and self._can_draw:
@@ -122,13 +125,27 @@ class LiveView:
     def is_catching_up(self) -> bool:
         """Whether the next frames go on with what this one has begun, though nothing moves."""
         session = self.session
-        looks = session.sky_is_stale and session.rainfall.can_rain and self._can_draw and not self._sky.is_through
+        looks = session.sky_is_stale and session.shown_rainfall.can_rain and self._can_draw and not self._sky.is_through
         return self._is_uploading or looks
 
     @property
     def last_textures(self) -> list[moderngl.Texture]:
         """The last pictures, of as many sides as there are."""
         return [shown.texture for shown in self._sides[-len(self.session.sides) :]]
+
+    def draw_aside(self, scene: Scene, shot: Shot, screen: Screen) -> moderngl.Texture | None:
+        """Draw a small picture beside the viewport's, in its rain, after `draw`; None while nothing can be drawn.
+
+        While time goes on it is drawn from a quarter of the Gaussians, or from fewer where the viewport has fewer.
+        """
+        session = self.session
+        if not self._can_draw or (not self._on_cpu and self._upload.missing(scene) > _AT_ONCE):
+            return None
+        share = min(session.detail.gaussians, _ASIDE) if session.clock.playing else 1.0
+        thinning = self._thinning(Detail(share, 1.0))
+        draw_shot(self._renderer, scene, session.shown_rainfall, session.sky, shot, thinning=thinning)
+        picture = self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture
+        return screen.show(picture, session.view.background, 2.0**session.view.gain_ev)
 
     @property
     def _can_draw(self) -> bool:

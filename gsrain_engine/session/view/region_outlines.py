@@ -32,7 +32,7 @@ def region_outlines(session: Session, width: int, height: int) -> list[RegionOut
     if session.view.show_haze_region:
         shown.append(("haze region", session.rain.haze_region))
     shot = session.shot(width, height)
-    anchor = rain_anchor(session.scene, session.rainfall, shot)
+    anchor = rain_anchor(session.shown_scene, session.shown_rainfall, shot)
     return [RegionOutline(name, project_edges(box, anchor, shot.camera)) for name, box in shown]
 
 

@@ -119,7 +119,7 @@ def _choice(session: Session, title: str, field: str, choices: tuple[str, ...], 
 
 def _read_out(session: Session) -> None:
     speed, t = speed_of(session.path), session.clock.time_s
-    ego = ego_speed_km_h(session.scene, t)
+    ego = ego_speed_km_h(session.shown_scene, t)
     now = 3.6 * float(np.linalg.norm(session.path.velocity(t)))
     imgui.text(f"{speed.length_m:.1f} m, {speed.mean_km_h:.0f} km/h, at most {speed.fastest_km_h:.0f} km/h")
     imgui.set_item_tooltip("Length of the flight, its mean and its highest speed.")

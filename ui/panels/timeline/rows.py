@@ -20,7 +20,7 @@ def rows(session: Session, titles_px: float, width: float) -> None:
     last_s = ruler.first_s + ruler.shown_s
     if weather.keys:
         _row(session, weather_row(weather, ruler.first_s, last_s, int(width / 6)), titles_px, width, is_rain=True)
-    for row in track_rows(session.scene):
+    for row in track_rows(session.shown_scene):
         _row(session, row, titles_px, width)
 
 

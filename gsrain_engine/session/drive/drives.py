@@ -1,0 +1,261 @@
+"""Driving in a session: what is wished for, the roll-outs that are open, and the one that plays."""
+
+import logging
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from gsrain_engine.drive.simulation.rollout import RolloutStep
+from gsrain_engine.drive.simulation.rollout_files import write_rollout
+from gsrain_engine.rain.rainfall import Rainfall
+from gsrain_engine.scene.scene import Scene
+
+from ..files.saved_scene import saved_scene
+from ..log import told
+from .chase import Chase, ChaseMode
+from .drive_job import DriveJob, Reading
+from .mosaic import Mosaic
+from .opened_rollout import OpenedRollout, open_rollout
+from .shown_rollout import ShownRollout
+from .wanted_drive import WantedDrive
+
+if TYPE_CHECKING:
+    from ..session import Session
+
+logger = logging.getLogger("gsrain")
+
+_MOST = 12
+"""So many roll-outs stay open; the oldest makes room."""
+
+
+class Drives:
+    """All about driving of one session. Only the main thread touches it; `poll` once a frame."""
+
+    def __init__(self, files: ThreadPoolExecutor) -> None:
+        """Read and write files in a thread."""
+        self._files = files
+        self.wanted = WantedDrive()
+        self.opened: list[OpenedRollout] = []
+        self.playing: OpenedRollout | None = None
+        """The one that the viewport shows."""
+        self.trouble: str | None = None
+        """Why the viewport can't show it."""
+        self.chase, self.mosaic = Chase(), Mosaic()
+        self.show_ego_car, self.show_boxes, self.show_plan = True, True, True
+        self.rain_as_driven = True
+        """Whether the viewport has the rain of the drive, else that of the scene."""
+        self._shown: ShownRollout | None = None
+        self._rainfall: Rainfall | None = None
+        self._kept_span: tuple[float, float] | None = None
+        self._reading: list[tuple[str, Reading]] = []
+        self._writing: list[tuple[OpenedRollout, Path, Future[None]]] = []
+        self._placing: tuple[OpenedRollout, Future[ShownRollout]] | None = None
+        """What will play as soon as everybody is in place."""
+
+    # Driving
+
+    def newest_job(self, session: "Session") -> tuple[int, DriveJob] | None:
+        """The last drive that was started, with its number among the jobs."""
+        jobs = [(number, job) for number, job in enumerate(session.jobs) if isinstance(job, DriveJob)]
+        return jobs[-1] if jobs else None
+
+    def why_not(self, session: "Session") -> str | None:
+        """Why no drive can start now; None where it can."""
+        if any(isinstance(job, DriveJob) for job in session.running_jobs):
+            return "A drive goes on."
+        if session.scene.ego is None:
+            return "This scene has no recorded drive, and so no route to take: open one that has, such as the street."
+        return self.wanted.why_not
+
+    def start(self, session: "Session") -> None:
+        """Drive in the background, through the document as it is now."""
+        why_not = self.why_not(session)
+        if why_not is not None:
+            session.problem = why_not
+            return
+        wanted = self.wanted
+        rains = wanted.wishes.rains(session.rain_now)
+        job = DriveJob(
+            saved_scene(session), wanted.scenario, wanted.wishes, rains, self._files, session.files.known,
+            lambda reading: self._reading.append((wanted.scenario.name, reading)),
+        )  # fmt: skip
+        session.start(job)
+
+    # Files
+
+    def open(self, path: Path) -> None:
+        """Read a roll-out in the background and play it."""
+        self._reading.append((path.name, self._files.submit(lambda: [open_rollout(path)])))
+
+    def save_as(self, path: Path) -> None:
+        """Write the one that plays, in the background."""
+        if self.playing is not None:
+            path = path if path.suffix else path.with_suffix(".jsonl")
+            self._writing.append((self.playing, path, self._files.submit(write_rollout, path, self.playing.rollout)))
+
+    @property
+    def is_working(self) -> bool:
+        """Whether a roll-out is being read or written."""
+        return bool(self._reading or self._writing or self._placing)
+
+    @property
+    def pending(self) -> list[Future[Any]]:
+        """What is being read and written, to wait for where there are no frames to wait with."""
+        placing = [] if self._placing is None else [self._placing[1]]
+        return [*[each[1] for each in self._reading], *[each[2] for each in self._writing], *placing]
+
+    def poll(self, session: "Session") -> None:
+        """Take in what was read, say what was written, go along with the drive; never waits."""
+        for name, reading in [each for each in self._reading if each[1].done()]:
+            self._reading.remove((name, reading))
+            self._take(session, name, reading)
+        for opened, path, writing in [each for each in self._writing if each[2].done()]:
+            self._writing.remove((opened, path, writing))
+            self._written(session, opened, path, writing)
+        if self._placing is not None and self._placing[1].done():
+            (opened, placing), self._placing = self._placing, None
+            self._begin(session, opened, placing)
+        shown = self._shown_in(session.scene)
+        if shown is not None:
+            self.chase.ride(shown, session.clock.time_s, session.navigation)
+
+    # What plays
+
+    def play(self, session: "Session", opened: OpenedRollout) -> None:
+        """Show a roll-out from its beginning, in place of the scene's own traffic; the document stays as it is.
+
+        It comes in a later frame: looking for the ground of a scene takes a moment.
+        """
+        self._placing = opened, self._files.submit(ShownRollout, opened.rollout, session.scene)
+
+    def follow(self, session: "Session", mode: ChaseMode) -> None:
+        """Let the camera go along in a way."""
+        session.view.follow_path = False
+        session.following.follow("")
+        self.chase.begin(mode)
+
+    def seek(self, session: "Session", time_s: float) -> None:
+        """Go to a moment of the roll-out that plays, in seconds since its scenario began."""
+        shown = self._shown_in(session.scene)
+        session.clock.seek(time_s + (shown.start_s if shown is not None else 0.0))
+
+    def jump(self, session: "Session", time_s: float) -> None:
+        """Stop at a moment of the roll-out that plays."""
+        session.clock.playing = False
+        self.seek(session, time_s)
+
+    def close(self, session: "Session", opened: OpenedRollout) -> None:
+        """Close a roll-out; the scene comes back with the last one that plays."""
+        self.opened = [each for each in self.opened if each is not opened]
+        if opened is self.playing:
+            self._stop(session)
+            if self.opened:
+                self.play(session, self.opened[-1])
+
+    def close_all(self, session: "Session") -> None:
+        """Close all of them; the scene comes back."""
+        self.opened, self._placing = [], None
+        if self.playing is not None:
+            self._stop(session)
+
+    # What the viewport asks
+
+    def shown_in(self, session: "Session") -> ShownRollout | None:
+        """The roll-out that plays, in the scene as it is; None where none plays or where it does not belong there."""
+        return self._shown_in(session.scene)
+
+    def scene_in_place_of(self, scene: Scene) -> Scene:
+        """The scene with the road users of the roll-out that plays; the same where none does."""
+        shown = self._shown_in(scene)
+        if shown is None:
+            return scene
+        return shown.scene(scene, with_ego=self.show_ego_car and self.chase.mode != "front camera")
+
+    def rig_scene(self, session: "Session") -> Scene:
+        """What the cameras of the rig see: not the body of their own vehicle."""
+        shown = self._shown_in(session.scene)
+        return session.scene if shown is None else shown.scene(session.scene, with_ego=False)
+
+    def rainfall(self, *, roofs: bool) -> Rainfall | None:
+        """Rain of the roll-out that plays, under roofs where they are known; None for that of the document."""
+        if self._shown is None or not self.rain_as_driven:
+            return None
+        rain = self._shown.scenario.rain
+        if not roofs and rain.roofs:
+            rain = msgspec.structs.replace(rain, roofs=False)
+        if self._rainfall is None or self._rainfall.rain != rain:
+            self._rainfall = Rainfall.start(rain)
+        return self._rainfall
+
+    def span_s(self) -> tuple[float, float] | None:
+        """From when to when the roll-out plays, in the scene's time."""
+        return None if self._shown is None else self._shown.span_s
+
+    def step_now(self, session: "Session") -> RolloutStep | None:
+        """The step of the roll-out that plays at the present time."""
+        shown = self._shown_in(session.scene)
+        return None if shown is None else shown.played.step(shown.own_time_s(session.clock.time_s))
+
+    def _shown_in(self, scene: Scene) -> ShownRollout | None:
+        """The one that plays; put into place anew where a person has changed the scene's actors or its units."""
+        if self.playing is not None and self._shown is not None and not self._shown.fits(scene):
+            try:
+                self._shown = self._shown.placed_in(scene)
+            except ValueError as error:
+                self._shown, self.trouble = None, _not_here(error)
+        return self._shown
+
+    def _begin(self, session: "Session", opened: OpenedRollout, placing: "Future[ShownRollout]") -> None:
+        if not any(each is opened for each in self.opened):
+            return  # closed meanwhile
+        was_playing = self.playing is not None
+        self.playing, self.trouble, self._shown, self._rainfall = opened, None, None, None
+        if not was_playing:
+            self._kept_span = session.clock.span_s
+        session.clock.span_s = None
+        session.timeline.is_fitted = False
+        try:
+            self._shown = placing.result()
+        except ValueError as error:
+            session.problem = self.trouble = _not_here(error)
+            return
+        session.view.follow_path = False
+        self.mosaic.rig = self._shown.scenario.rig or self.mosaic.rig
+        session.clock.seek(self._shown.start_s)
+        if not was_playing:
+            self.chase.begin("behind")
+
+    def _stop(self, session: "Session") -> None:
+        self.playing = self.trouble = self._shown = self._rainfall = self._placing = None
+        self.chase.begin("free")
+        session.clock.span_s, self._kept_span = self._kept_span, None
+        session.timeline.is_fitted = False
+
+    def _take(self, session: "Session", name: str, reading: Reading) -> None:
+        try:
+            found = reading.result()
+        except Exception as error:  # whatever a disk or a file can do
+            session.problem = told(f"{name} can't be opened", error)
+            return
+        self.opened = [*self.opened, *found][-_MOST:]
+        self.play(session, found[-1])
+        for each in found:
+            logger.info("Opened a roll-out: %s: %s after %.2f s", each.title, each.rollout.end, each.duration_s)
+
+    def _written(self, session: "Session", opened: OpenedRollout, path: Path, writing: "Future[None]") -> None:
+        try:
+            writing.result()
+        except Exception as error:  # whatever a disk can do
+            session.problem = told(f"{path} can't be written", error)
+            return
+        logger.info("Saved the roll-out %s", path)
+        saved = opened.saved_at(path)
+        self.opened = [saved if each is opened else each for each in self.opened]
+        if self.playing is opened:
+            self.playing = saved
+
+
+def _not_here(error: ValueError) -> str:
+    return f"The view can't show the roll-out: {error}"

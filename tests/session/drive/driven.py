@@ -1,0 +1,61 @@
+"""A drive on the small scene's road, driven once for all tests that play it."""
+
+from dataclasses import replace
+from functools import cache
+
+import msgspec
+
+from gsrain_engine.drive.agents.registry import open_agent
+from gsrain_engine.drive.scenario.scenario import Scenario
+from gsrain_engine.drive.simulation.drive import drive
+from gsrain_engine.drive.simulation.simulation import Simulation
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.session.session import Session
+from small_scene import small_scene
+
+CRASH = {
+    "name": "crash",
+    "speed_m_s": 2.0,
+    "duration_s": 6.0,
+    "road_users": [{"id": "lead", "ahead_m": 9.0, "behaviour": {"kind": "constant-velocity"}}],
+}
+"""Gap 4.4 m between the bumpers, closed at 2 m/s: it is hit after a little more than 2 s."""
+
+
+@cache
+def driven(intensity_mm_h=8.5, start_s=0.0, scale=1.0):
+    """A scene with a length of its unit, and the roll-out of the crash in it."""
+    rain = {"intensity_mm_h": intensity_mm_h}
+    scenario = msgspec.convert(CRASH | {"rain": rain, "start_s": start_s}, Scenario)
+    scene = scaled(small_scene(), scale)
+    simulation, agent = Simulation(scenario, scene), open_agent("constant-velocity")
+    for _ in drive(simulation, agent):
+        pass
+    return scene, simulation.rollout(agent.name)
+
+
+def scaled(scene, metres_per_unit):
+    """The same world in other units."""
+    unit = 1 / metres_per_unit
+    layers = tuple(
+        replace(each, gaussians=replace(each.gaussians, means=each.gaussians.means * unit,
+                                        scales=each.gaussians.scales * unit))
+        for each in scene.layers
+    )  # fmt: skip
+    ego = replace(scene.ego, positions=scene.ego.positions * unit)
+    return replace(scene, layers=layers, ego=ego, metres_per_unit=metres_per_unit)
+
+
+def settled(session):
+    """Wait for what is read and written."""
+    while session.drives.is_working:
+        for pending in session.drives.pending:
+            pending.exception(timeout=60)
+        session.update(0.0)
+
+
+def stopped_session(scene, intensity_mm_h=0.0):
+    """A session in which time stands."""
+    session = Session(scene, Rain(intensity_mm_h=intensity_mm_h))
+    session.clock.playing = False
+    return session

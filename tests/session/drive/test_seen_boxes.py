@@ -1,0 +1,46 @@
+"""What a camera agent has noted, as boxes in the picture."""
+
+import msgspec
+import pytest
+
+from gsrain_engine.drive.simulation.rig_pictures import of_width, placed_camera
+from gsrain_engine.session.drive.seen_boxes import seen_boxes
+from gsrain_engine.session.drive.shown_rollout import ShownRollout
+
+from .driven import driven
+
+NOTES = {
+    "detections": [
+        {"box_xyxy": [100.0, 80.0, 200.0, 160.0], "class": "car", "confidence": 0.9},
+        {"box_xyxy": [10.0, 10.0, 20.0, 20.0], "class": "bus", "confidence": 0.1},
+        {"box_xyxy": [300.0, 80.0, 330.0, 100.0], "class": "car", "confidence": 0.4},
+    ],
+    "lead": {"box_xyxy": [100.0, 80.0, 200.0, 160.0], "gap_m": 12.34, "speed_m_s": 1.0},
+    "detector": "any",
+}
+
+
+@pytest.fixture
+def shown():
+    scene, rollout = driven()
+    return ShownRollout(rollout, scene)
+
+
+def noted(shown, notes):
+    return msgspec.structs.replace(shown.played.rollout.steps[0], notes=notes)
+
+
+def test_detections_lie_where_the_agent_has_seen_them(shown):
+    front = shown.front_camera
+    twice = placed_camera(of_width(front, 2 * front.width), shown.played.rig_to_world(0.0))
+    lead, other = seen_boxes(noted(shown, NOTES), front, twice)
+    assert lead.low_px == pytest.approx((200.0, 160.0), abs=1.0)
+    assert lead.high_px == pytest.approx((400.0, 320.0), abs=1.0)
+    assert (lead.is_lead, lead.words) == (True, "car 0.90, 12.3 m")
+    assert (other.is_lead, other.words) == (False, "car 0.40")
+
+
+@pytest.mark.parametrize("notes", [{}, {"detections": "three"}, {"detections": [{"box": 1}]}, {"lead": 4}])
+def test_other_notes_are_passed_by(shown, notes):
+    camera = placed_camera(shown.front_camera, shown.played.rig_to_world(0.0))
+    assert seen_boxes(noted(shown, notes), shown.front_camera, camera) == []

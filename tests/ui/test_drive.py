@@ -1,0 +1,151 @@
+"""Driving in the real window: from the panel, a roll-out that plays, plots that are clicked, the rig's cameras."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from gsrain_engine.drive.agents.registry import open_agent
+from gsrain_engine.drive.scenario.scenario import Scenario, load_scenario
+from gsrain_engine.drive.simulation.drive import drive
+from gsrain_engine.drive.simulation.rollout_files import read_rollout, write_rollout
+from gsrain_engine.drive.simulation.simulation import Simulation
+from small_scene import small_scene
+from window_driver import Driver, imgui
+
+LEAD = {"id": "lead", "ahead_m": 9.0, "behaviour": {"kind": "constant-velocity"}}
+CRASH = {"name": "crash", "speed_m_s": 2.0, "duration_s": 4.0, "road_users": [LEAD]}
+
+
+@pytest.fixture
+def driver(tmp_path):
+    return Driver(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def rollout(tmp_path_factory):
+    scenario = msgspec.convert(CRASH | {"rain": {"intensity_mm_h": 8.5}}, Scenario)
+    simulation, agent = Simulation(scenario, small_scene()), open_agent("constant-velocity")
+    for _ in drive(simulation, agent):
+        pass
+    path = tmp_path_factory.mktemp("drive") / "crash.jsonl"
+    write_rollout(path, simulation.rollout(agent.name))
+    return path
+
+
+def choose(driver, title, path, button="Open"):
+    """Type a place into a file dialog."""
+    driver.frames(3)
+    driver.ctx.item_click(f"//{title}/##file_input")
+    driver.ctx.key_chars_replace(str(path))
+    driver.ctx.item_click(f"//{title}/**/{button}")
+    driver.frames(3)
+
+
+def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path):
+    session = driver.session
+    drives = session.drives
+
+    def script():
+        driver.ctx.window_focus("//Drive")
+        driver.frames()
+        driver.ctx.set_ref("//Drive")
+        driver.ctx.item_click("Change the scenario")
+        driver.frames()
+        driver.ctx.item_input_value("**/##duration_s", 1.0)
+        driver.ctx.item_input_value("**/##speed_m_s", 2.5)
+        driver.frames()
+        assert drives.wanted.is_changed
+        driver.ctx.item_click("**/###save scenario")
+        choose(driver, "Save the scenario", tmp_path / "short.yaml", "Save")
+        saved = load_scenario(tmp_path / "short.yaml")
+        assert (saved.duration_s, saved.speed_m_s) == (1.0, 2.5)
+        driver.ctx.set_ref("//Drive")
+        driver.ctx.item_click("Change the scenario")
+        driver.ctx.combo_click("##agent/constant-velocity")
+        driver.ctx.combo_click("##rain/one intensity")
+        driver.frames()
+        driver.ctx.item_input_value("##intensity_mm_h", 5.0)
+        driver.frames()
+        driver.ctx.item_click("###drive")
+        driver.until(lambda: len(session.jobs) == 1)
+        job = session.jobs[0]
+        driver.until(lambda: job.state != "running" and not drives.is_working, 100_000)
+        assert (job.state, job.error, session.problem) == ("finished", None, None)
+        assert (drives.playing.intensity_mm_h, drives.playing.metrics.end) == (5.0, "time")
+        driver.frames()
+        driver.ctx.item_click("//Drive/###save roll-out")
+        choose(driver, "Save the roll-out", tmp_path / "mine.jsonl", "Save")
+        driver.until(lambda: not drives.is_working)
+        assert read_rollout(tmp_path / "mine.jsonl") == drives.playing.rollout
+
+    driver.run(script)
+
+
+def test_a_rollout_that_was_dropped_plays_and_goes_away_again(driver, rollout):
+    session = driver.session
+    drives = session.drives
+
+    def script():
+        before = driver.picture()
+        home = session.navigation.camera(90, 60).world_to_camera
+        driver.window.drop([str(rollout)])
+        driver.until(lambda: drives.playing is not None and not drives.is_working)
+        driver.ctx.window_focus("//Drive")
+        driver.frames(3)
+        first = driver.picture()
+        assert np.abs(first - before).mean() > 2  # a car, another place, rain
+        driver.ctx.item_click("//Drive/###collision")
+        driver.frames(3)
+        assert drives.step_now(session).collision == "lead"
+        driver.ctx.window_focus("//Drive plots")
+        driver.frames(3)
+        area = driver.ctx.item_info("//Drive plots/##Speed").rect_full
+        driver.ctx.mouse_move_to_pos(imgui.ImVec2((area.min.x + area.max.x) / 2, (area.min.y + area.max.y) / 2))
+        driver.ctx.mouse_click(0)
+        driver.frames(3)
+        assert 0.3 < session.clock.time_s / drives.playing.duration_s < 0.7
+        driver.ctx.item_click("//Drive/front camera")
+        driver.frames(3)
+        front = session.navigation.camera(90, 60).world_to_camera
+        driver.ctx.item_click("//Drive/Ego car")
+        driver.frames()
+        assert [each.id for each in session.shown_scene.actors] == ["lead"]
+        driver.ctx.mouse_move("//View/view")
+        driver.ctx.mouse_drag_with_delta(imgui.ImVec2(40, 0), 1)  # a person looks elsewhere
+        driver.frames()
+        assert drives.chase.mode == "free"
+        assert not np.allclose(session.navigation.camera(90, 60).world_to_camera, front)
+        driver.ctx.item_click("//Drive/**/###close")
+        driver.frames()
+        assert (drives.playing, session.history.cursor, session.has_changes) == (None, 0, False)
+        session.clock.seek(0.0)
+        session.go_home()
+        assert np.allclose(session.navigation.camera(90, 60).world_to_camera, home)
+        assert np.abs(driver.picture() - before).max() <= 2
+
+    driver.run(script)
+
+
+def test_the_rig_s_cameras_are_drawn_while_their_panel_is_seen(driver, rollout):
+    session = driver.session
+    mosaic = session.drives.mosaic
+
+    def script():
+        driver.ctx.window_focus("//Read-out")
+        driver.frames(3)
+        mosaic.pictures.clear()
+        session.clock.seek(0.5)
+        driver.frames(3)
+        assert mosaic.pictures == {}
+        driver.ctx.window_focus("//Rig cameras")
+        driver.until(lambda: "FRONT" in mosaic.pictures and mosaic.pictures["FRONT"].width == mosaic.width_px)
+        assert mosaic.pictures["FRONT"].height == mosaic.width_px * 2 // 3
+        session.drives.open(rollout)
+        driver.until(lambda: session.drives.playing is not None)
+        driver.ctx.window_focus("//Drive")
+        driver.frames(3)
+        driver.ctx.item_click("//Drive/###collision")
+        driver.frames(3)
+        assert not mosaic.is_behind
+
+    driver.run(script)
