@@ -6,10 +6,13 @@ from pathlib import Path
 
 import cv2
 import matplotlib as mpl
+import msgspec
 import numpy as np
 from jaxtyping import Float64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from gsrain_engine.evaluate.detection.detector import Detection
+from gsrain_engine.evaluate.detection.drawing import drawn
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.scene_view import Shot, draw_shot
@@ -17,15 +20,18 @@ from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.scene.camera import Camera
 
 from ..agents.agent import Needs
+from ..road.ground import ground_of
+from ..road.occupied_space import occupied_space_of
 from ..road.planar_box import PlanarBox
 from .played_rollout import PlayedRollout
 from .rig_pictures import needed_cameras, placed_camera
+from .rollout import RolloutStep
 from .simulation import vehicle_box
 
 Color = tuple[int, int, int]
 Picture = UInt8[np.ndarray, "h w 3"]
 
-_PAPER, _INK, _FAINT = (18, 20, 24), (232, 234, 238), (128, 134, 144)
+_PAPER, _INK, _FAINT, _SOLID = (18, 20, 24), (232, 234, 238), (128, 134, 144), (92, 98, 108)
 _EGO, _PLAN, _USER, _HIT = (86, 180, 233), (0, 214, 160), (230, 159, 0), (255, 70, 70)
 """Told apart with any colour vision (Okabe and Ito 2008)."""
 _BEHIND_M, _AHEAD_M, _ACROSS_M = 12.0, 68.0, 14.0
@@ -34,6 +40,8 @@ _COLUMNS, _END = (0.015, 0.14, 0.36, 0.47, 0.6, 0.74), 5
 """Where the figures of the moment stand, in shares of the width; the last is how the drive has ended."""
 _NEAR_M = 0.3
 _DOT_M = 0.14
+_SURE = 0.3
+"""Detections that an agent is less sure of are left out."""
 
 
 class DriveVideo:
@@ -71,15 +79,15 @@ class DriveVideo:
         return np.ascontiguousarray(whole[: whole.shape[0] // 2 * 2])
 
     def _seen(self, time_s: float) -> Picture:
-        """Draw what the camera sees, with the plan on the road."""
+        """Draw what the camera sees, with the plan on the road and what the agent has detected in its last picture."""
         played, rig = self._played, self._played.rig_to_world(time_s)
         camera, state = placed_camera(self._mounted, rig), played.state(time_s)
         velocity = state.speed_m_s * rig[:3, 0]
         scene_s = played.scene_time_s(time_s)
         color = self._sky.at(self._rainfall.wetness_at(scene_s))
         draw_shot(self._renderer, played.scene(time_s), self._rainfall, color, Shot(camera, scene_s, velocity))
-        picture = self._renderer.read().to_uint8()
         step = played.step(time_s)
+        picture = drawn(self._renderer.read().to_uint8(), (), _noted(step), _SURE)
         then = played.state(step.time_s)
         if not step.plan:
             return picture
@@ -97,7 +105,7 @@ class DriveVideo:
             played.rollout.agent,
             f"{time_s:5.2f} s",
             f"{state.speed_m_s:4.1f} m/s",
-            f"{step.ego.acceleration_m_s2:+.1f} m/s\u00b2",
+            f"{round(step.ego.acceleration_m_s2, 1) + 0.0:+.1f} m/s\u00b2",
         ]
         if time_s >= played.end_s - 1e-9:
             hit = played.rollout.steps[-1].collision
@@ -114,6 +122,7 @@ class DriveVideo:
         """Draw everybody from above; the ego vehicle drives to the right."""
         played, state, step = self._played, self._played.state(time_s), self._played.step(time_s)
         plan = _Plan(width, (state.x_m, state.y_m, state.yaw_rad))
+        plan.specks(self._solid)
         plan.dots(self._route, (70, 76, 86), 0.25)
         for user in played.users(time_s):
             plan.box(user.box, _HIT if user.id == step.collision and time_s >= step.time_s else _USER)
@@ -127,6 +136,29 @@ class DriveVideo:
     def _route(self) -> Float64[np.ndarray, "n 2"]:
         """The way that was driven, each metre or so."""
         return np.array([(each.ego.x_m, each.ego.y_m) for each in self._played.rollout.steps])
+
+    @cached_property
+    def _solid(self) -> Float64[np.ndarray, "n 2"]:
+        """What stands beside the road and could be hit."""
+        base = self._played.base
+        return occupied_space_of(base, ground_of(base)).places
+
+
+class _Noted(msgspec.Struct):
+    """A detection as camera-idm's notes have it."""
+
+    class_name: str = msgspec.field(name="class")
+    confidence: float
+    box_xyxy: tuple[float, float, float, float]
+
+
+def _noted(step: RolloutStep) -> list[Detection]:
+    """Return what the agent has put on record of its detections; none where it keeps no such record."""
+    try:
+        noted = msgspec.convert(step.notes.get("detections", []), list[_Noted])
+    except msgspec.ValidationError:
+        return []
+    return [Detection(each.class_name, each.confidence, each.box_xyxy) for each in noted]
 
 
 class _Plan:
@@ -145,6 +177,13 @@ class _Plan:
         shade = tuple(round(0.45 * value) for value in color)
         cv2.fillPoly(self.picture, [corners], shade, cv2.LINE_AA, 4)
         cv2.polylines(self.picture, [corners], True, color, 1, cv2.LINE_AA, 4)
+
+    def specks(self, points: Float64[np.ndarray, "n 2"]) -> None:
+        """Set single pixels, however many there are."""
+        x, y = (self._pixels(points) // 16).T
+        height, width = self.picture.shape[:2]
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        self.picture[y[inside], x[inside]] = _SOLID
 
     def dots(self, points: Float64[np.ndarray, "n 2"], color: Color, radius_m: float) -> None:
         radius = max(16, round(radius_m * self._scale * 16))

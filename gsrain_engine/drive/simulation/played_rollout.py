@@ -32,6 +32,8 @@ class PlayedRollout:
         except msgspec.ValidationError as error:
             raise ValueError(f"the roll-out's scenario: {error}") from None
         self.rollout = rollout
+        self.base = scene
+        """The scene as it was given, with its own actors."""
         cameras = tuple(of_width(each, self.scenario.picture_width_px) for each in _cameras(scene, self.scenario.rig))
         self.rig = Rig(self.scenario.vehicle, cameras, ground_of(scene).rig_height_m)
         self._road = RoadScene(scene, {user.id: user_look(user.model, scene) for user in self.scenario.road_users})
