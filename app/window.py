@@ -3,6 +3,7 @@
 import threading
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 # imgui_bundle brings its own GLFW library and has to come before the glfw package.
@@ -12,10 +13,12 @@ import glfw  # isort: skip
 import moderngl
 from imgui_bundle import glfw_utils
 
+from gsrain_engine.drive.simulation.rollout_formats import ROLLOUT_SUFFIXES
 from gsrain_engine.session.files.preferences import load_preferences
 from ui.style import apply_style
 
 from .layout_file import own_layout
+from .window_icon import set_window_icon
 
 if TYPE_CHECKING:
     from gsrain_engine.session.session import Session, WindowBackend
@@ -98,8 +101,13 @@ class Window:
         return parameters
 
     def drop(self, paths: list[str]) -> None:
-        """Open a file or folder that was dropped on the window; of several, the first."""
-        if paths and self.workspace is not None:
+        """Open the roll-outs that were dropped on the window; else a file or folder, of several the first."""
+        if not paths or self.workspace is None:
+            return
+        rollouts = [Path(each) for each in paths if Path(each).suffix.lower() in ROLLOUT_SUFFIXES]
+        for path in rollouts:
+            self.workspace.session.drives.open(path)
+        if not rollouts:
             self.workspace.session.open(paths[0])
 
     def ask_to_close(self) -> None:
@@ -116,7 +124,8 @@ class Window:
             self._session.close()
 
     def _start(self) -> None:
-        """Share the window's OpenGL context, make room for plots, take in dropped files, begin to load."""
+        """Set the icon, share the OpenGL context, make room for plots, take in dropped files, begin to load."""
+        set_window_icon(glfw_utils.glfw_window_hello_imgui())
         implot.create_context()
         self._context = moderngl.create_context(require=_REQUIRED_VERSION)
         glfw.set_drop_callback(glfw_utils.glfw_window_hello_imgui(), lambda _, paths: self.drop(paths))

@@ -55,7 +55,7 @@ def doctor(*, json: JsonFile = None) -> int:
 
 
 def is_frozen() -> bool:
-    """Whether this is the program that PyInstaller builds, which has no PyAV: its wheel holds encoders under the GPL."""
+    """Whether this is the program that PyInstaller builds: without PyAV, whose wheel holds encoders under the GPL."""
     return getattr(sys, "frozen", False)
 
 

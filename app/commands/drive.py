@@ -21,12 +21,13 @@ from gsrain_engine.drive.sweeps.program import software
 from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.render.backends import Backend, open_renderer
+from gsrain_engine.render.video import can_write_videos
 from gsrain_engine.scene.content_hash import scene_hash
 from gsrain_engine.scene.open_scene import open_to_draw
 from gsrain_engine.scene.scene import Scene
 
 from .arguments import JsonFile, write_numbers
-from .driving.drive_files import DriveFiles, write_drives
+from .driving.drive_files import DriveFiles, file_word, write_drives
 from .driving.driver_options import DriverOptions
 from .evaluate.run_facts import run_facts, told_facts
 from .outputs import check_writable
@@ -49,7 +50,9 @@ def drive(
     rain: Annotated[
         str | None, Parameter(help="Intensities in mm/h, 0..100, with commas between; default: the scenario's.")
     ] = None,
-    seed: Annotated[int, Parameter(help="Same seed, same drops and the same drive.")] = 0,
+    seed: Annotated[
+        int | None, Parameter(help="Same seed, same drops and the same drive; default: the scenario's.")
+    ] = None,
     preset: Annotated[str | None, Parameter(help="Rain preset for all but intensity and seed.")] = None,
     exposure: Annotated[float | None, Parameter(help="Shutter time in seconds; default: the camera's own.")] = None,
     scene: Annotated[str | None, Parameter(help="Scene file or folder, or street; default: the scenario's.")] = None,
@@ -79,7 +82,7 @@ def drive(
     asked = driver or DriverOptions()
     test = _as_asked(load_scenario(scenario or DEFAULT_SCENARIO), scene, rig, width, duration)
     rains = _rains(test.rain, rain, preset, exposure)
-    folder = output or Path(f"drive-{test.name}")
+    folder = output or Path(f"drive-{file_word(test.name)}")
     files = DriveFiles(folder, frozenset(_words(export)), fps)
     files.check()
     check_writable(folder / "table.csv", json)
@@ -87,7 +90,10 @@ def drive(
     test, opened = asked.fitted(test, _opened(test.scene, wet))
     with ExitStack() as stack:
         agents = stack.enter_context(asked.opened())
-        films = video if video is not None else len(agents) * len(rains) == 1
+        can_film = can_write_videos() and bool(opened.rigs)
+        films = video if video is not None else len(agents) * len(rains) == 1 and can_film
+        if films and not opened.rigs:
+            raise ValueError(f"--video: scene {opened.name!r} has no rig whose front camera could film")
         renderer = None
         if films or any(agent.needs.cameras for agent in agents):
             renderer = stack.enter_context(open_renderer(backend))
@@ -119,6 +125,8 @@ def _drive(simulation: Simulation, agent: Agent) -> str | None:
                 advance()
         except ClientError as error:
             return str(error)
+        except ValueError as error:
+            return f"agent {agent.name}: {error}"
         except KeyboardInterrupt:
             return "stopped"
     if simulation.end != "agent":
@@ -144,7 +152,9 @@ def _as_asked(
 
 def _rains(own: Rain, intensities: str | None, preset: str | None, exposure: float | None) -> list[Rain]:
     """Return the rains of the runs; the scenario's own one where nothing else is asked for."""
-    base = own if preset is None else msgspec.structs.replace(load_preset(preset), intensity_mm_h=own.intensity_mm_h)
+    base = own
+    if preset is not None:
+        base = msgspec.structs.replace(load_preset(preset), intensity_mm_h=own.intensity_mm_h, seed=own.seed)
     values = msgspec.to_builtins(base) | ({} if exposure is None else {"exposure_s": exposure})
     if intensities is None:
         return [msgspec.convert(values, Rain)]

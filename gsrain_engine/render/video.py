@@ -3,6 +3,7 @@
 import os
 from contextlib import suppress
 from fractions import Fraction
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +36,11 @@ _CONTAINERS = {
     ".webm": {"fflags": "+bitexact", "cluster_time_limit": "1000"},
 }
 _CODECS = {".mp4": ("h264", "av1"), ".webm": ("vp9", "av1")}
+
+
+def can_write_videos() -> bool:
+    """Whether PyAV is here, which a frozen program leaves out."""
+    return find_spec("av") is not None
 
 
 class VideoWriter:

@@ -1,11 +1,14 @@
 """`gsrain drive` on a small scene: what it writes, twice the same bytes, and bad input."""
 
 import json
+from dataclasses import replace
 
 import av
 import pytest
 
 from app.command_line import BAD_INPUT, run
+from app.commands.driving import driver_options
+from gsrain_engine.drive.agents.constant_velocity import ConstantVelocityAgent
 from gsrain_engine.drive.scenario.scenario import load_scenario, scenario_names
 from gsrain_engine.drive.simulation.rollout_files import read_rollout
 from gsrain_engine.scene.formats import write_scene
@@ -57,7 +60,7 @@ def test_a_driver_who_never_brakes_hits_the_car_and_is_filmed(scenario, tmp_path
         assert sum(1 for _ in film.decode(video=0)) == 11  # 4 s at 2 a second, the last moment, and a second of it
     for file in (f"{name}.jsonl", f"{name}.mp4", "table.csv", "table.md", "standing_constant-velocity.png"):
         assert (tmp_path / "once" / file).read_bytes() == (tmp_path / "twice" / file).read_bytes(), file
-    assert "Driving in the rain" in (tmp_path / "once" / "report.html").read_text()
+    assert "Driving in rain: standing" in (tmp_path / "once" / "report.html").read_text()
     assert "standing" in capsys.readouterr().out
 
 
@@ -85,6 +88,7 @@ def test_an_oracle_stops_at_every_intensity(scenario, tmp_path):
         (("--rig", "none", "--agent", "oracle-idm"), "has no rig 'none'"),
         (("--agent", "hugsim"), "--hugsim-dir DIR"),
         (("--scene", "nowhere"), "nowhere"),
+        (("--seed", "-1", "--agent", "oracle-idm"), "seed -1: must be within 0..4294967295"),
     ],
 )
 def test_bad_input_gets_one_line(arguments, says, tmp_path, monkeypatch, capsys):
@@ -92,6 +96,39 @@ def test_bad_input_gets_one_line(arguments, says, tmp_path, monkeypatch, capsys)
     assert drive(*arguments) == BAD_INPUT
     said = capsys.readouterr().err
     assert says in said and said.count("\n") == 1
+
+
+def test_a_name_is_no_way_into_another_folder(scenario, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "odd.yaml").write_text(scenario.read_text().replace("name: standing", 'name: "../8.5 mm/h"'))
+    assert drive("odd.yaml", "--agent", "oracle-idm", "--no-video") == 0
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["drive--8.5 mm-h", "odd.yaml"]
+    assert (tmp_path / "drive--8.5 mm-h" / "-8.5 mm-h_oracle-idm_8.5mm_seed0.jsonl").is_file()
+
+
+def test_a_scene_without_cameras_is_driven_through_but_not_filmed(scenario, tmp_path, capsys):
+    write_scene(replace(small_scene(), rigs={}), tmp_path / "blind")
+    asked = (scenario, "--agent", "oracle-idm", "--scene", tmp_path / "blind", "-o", tmp_path / "out")
+    assert drive(*asked, "--video") == BAD_INPUT
+    assert "has no rig whose front camera could film" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    assert drive(*asked) == 0
+    assert (tmp_path / "out" / "table.csv").is_file() and not list((tmp_path / "out").glob("*.mp4"))
+
+
+class _Broken(ConstantVelocityAgent):
+    def plan(self, observation):
+        if observation.step == 2:
+            raise ValueError("no such way")
+        return super().plan(observation)
+
+
+def test_what_was_driven_until_an_agent_failed_is_written(scenario, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(driver_options, "open_agent", lambda name, options: _Broken())
+    assert drive(scenario, "--agent", "constant-velocity", "-o", tmp_path, "--no-video") == BAD_INPUT
+    assert "agent constant-velocity: no such way" in capsys.readouterr().err
+    rollout = read_rollout(tmp_path / "standing_constant-velocity_8.5mm_seed0.jsonl")
+    assert (rollout.end, len(rollout.steps)) == ("stopped", 3)
 
 
 def test_the_papers_scenarios_are_shipped():

@@ -8,7 +8,7 @@ import av
 import numpy as np
 import pytest
 
-from gsrain_engine.render.video import VideoWriter
+from gsrain_engine.render.video import VideoWriter, can_write_videos
 
 
 def frames(count=12, width=64, height=48):
@@ -82,3 +82,12 @@ def test_a_killed_video_keeps_what_was_written(tmp_path):
 def test_what_cannot_be_encoded_is_refused(tmp_path, name, size, words):
     with pytest.raises(ValueError, match=words):
         VideoWriter(tmp_path / name, *size, 30.0)
+
+
+def test_without_pyav_a_sentence_says_what_goes_instead(tmp_path, monkeypatch):
+    assert can_write_videos()
+    monkeypatch.setitem(sys.modules, "av", None)
+    assert not can_write_videos()
+    with pytest.raises(ValueError, match="need PyAV, which is not here .*folder of pictures"):
+        VideoWriter(tmp_path / "film.mp4", 64, 48, 30.0)
+    assert list(tmp_path.iterdir()) == []

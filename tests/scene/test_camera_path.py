@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -46,6 +47,26 @@ def test_path_goes_through_its_keys():
         assert camera.position == pytest.approx(path.positions[k], abs=1e-9)
         assert np.allclose(camera.camera_to_world[:3, :3], turns[k].as_matrix(), atol=1e-9)
         assert camera.vertical_fov_deg == pytest.approx(path.vertical_fov_deg[k])
+
+
+def test_a_path_flies_through_cameras():
+    up = np.array([0.0, 0, 1])
+    eyes = np.array([[0.0, 0, 2], [5, 1, 3], [9, -2, 8]])
+    cameras = [Camera.from_fov(90, 60, fov, look_at(eye, np.array([30.0, 0, 0]), up))
+               for eye, fov in zip(eyes, (30, 40, 50), strict=True)]  # fmt: skip
+    path = CameraPath.through([1.0, 2.5, 3.0], [replace(cameras[0], exposure_s=0.02), *cameras[1:]])
+    assert (path.start_s, path.end_s, path.exposure_s) == (1.0, 3.0, 0.02)
+    for t, camera in zip((1.0, 2.5, 3.0), cameras, strict=True):
+        found = path.camera(t, 90, 60)
+        assert np.allclose(found.world_to_camera, camera.world_to_camera, atol=1e-9)
+        assert found.fy == pytest.approx(camera.fy)
+
+
+@pytest.mark.parametrize(("times", "cameras", "reason"),
+                         [([], 0, "at least one"), ([0.0], 2, "1 for 2"), ([1.0, 1.0], 2, "rising")])  # fmt: skip
+def test_cameras_without_rising_moments_are_refused(times, cameras, reason):
+    with pytest.raises(ValueError, match=reason):
+        CameraPath.through(times, [Camera.from_fov(90, 60, 40.0, np.eye(4))] * cameras)
 
 
 def test_velocity_is_the_derivative_of_the_position():

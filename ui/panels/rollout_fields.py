@@ -17,7 +17,7 @@ from .rain_panel import WARNING
 from .timeline.colors import color
 
 _ICONS = icons_fontawesome_6
-_KINDS = "Roll-outs{.jsonl}"
+_KINDS = "Roll-outs{.jsonl,.parquet}"
 _MODES: dict[ChaseMode, str] = {
     "behind": "8 m behind the ego vehicle and 3 m up; look around as you like, click again to come back.",
     "front camera": "Through the rig's camera that looks ahead; a drag leaves it.",

@@ -1,12 +1,13 @@
 """What `gsrain drive` writes: runs, tables, figures, films and a report."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 
-from gsrain_engine.drive.metrics.comparison import Run, compare
+from gsrain_engine.drive.metrics.comparison import Comparison, Run, compare
 from gsrain_engine.drive.metrics.figures import kinematics_figure, write_figure
 from gsrain_engine.drive.metrics.metrics_files import write_metrics_csv
 from gsrain_engine.drive.metrics.run_page import drive_report
@@ -49,7 +50,16 @@ class DriveFiles:
         """Return the file of a run."""
         metrics = run.metrics
         name = f"{metrics.scenario}_{metrics.agent}_{metrics.intensity_mm_h:g}mm_seed{metrics.seed}"
-        return self.folder / f"{name}{suffix}"
+        return self.folder / f"{file_word(name)}{suffix}"
+
+    def figure(self, comparison: Comparison) -> Path:
+        """Return the file of a figure over time."""
+        return self.folder / f"{file_word(f'{comparison.scenario}_{comparison.agent}')}.png"
+
+
+def file_word(name: str) -> str:
+    """Return a name as part of a file's: what would lead into another folder, or nowhere, becomes a dash."""
+    return re.sub(r'[\\/:*?"<>|\x00-\x1f]+', "-", name).lstrip(".") or "-"
 
 
 def write_drives(
@@ -68,7 +78,7 @@ def write_drives(
     with whole_file(files.folder / "table.md") as beside:
         beside.write_text(table.markdown, encoding="utf-8")
     write_metrics_csv(files.folder / "table.csv", [run.metrics for run in runs])
-    figures = {files.folder / f"{each.scenario}_{each.agent}.png": kinematics_figure(each) for each in compared}
+    figures = {files.figure(each): kinematics_figure(each) for each in compared}
     for path, figure in figures.items():
         write_figure(path, figure)
     write_report(files.folder / "report.html", drive_report(runs, {scene.name: recorded_route(scene)}, settings))

@@ -10,6 +10,8 @@ from .observation import Observation, Rig
 
 SPACING_S = 0.5
 """Time between the points of a plan, and from now to the first of them."""
+FARTHEST_M = 10_000.0
+"""A plan that reaches farther is none."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,11 +13,11 @@ from jaxtyping import Float64
 
 from gsrain_engine.scene.scene import RigCamera
 
+from ..vehicle.bicycle import yaw_rate
 from .lidar_mount import front_camera, lidar_to_rig
-from .observation import Observation, Rig
+from .observation import COMMANDS, Observation, Rig
 from .tensor_file import tensor_file
 
-COMMANDS = {"right": 0, "left": 1, "straight": 2}
 _GRAVITY_M_S2 = 9.8
 
 
@@ -30,7 +30,7 @@ def neuroncap_message(observation: Observation, rig: Rig) -> bytes:
         "ego2world": _ego_to_world(observation).tolist(),
         "canbus": can_bus(observation, rig),
         "timestamp": round(1e6 * observation.time_s),
-        "command": COMMANDS[observation.command],
+        "command": COMMANDS.index(observation.command),
         "calibration": _calibration(shown, rig),
     }
     return msgspec.json.encode(message)
@@ -43,22 +43,18 @@ def can_bus(observation: Observation, rig: Rig) -> list[float]:
     velocity (m/s), the last three in the ego frame.
     """
     state = observation.state
-    yaw_rate = state.speed_m_s * np.tan(state.steer_rad) / rig.vehicle.wheelbase_m
+    turning = yaw_rate(rig.vehicle, state)
     half = state.yaw_rad / 2
     signals = (
         state.x_m, state.y_m, 0.0, np.cos(half), 0.0, 0.0, np.sin(half),
-        observation.acceleration_m_s2, state.speed_m_s * yaw_rate, _GRAVITY_M_S2,
-        0.0, 0.0, yaw_rate, state.speed_m_s, 0.0, 0.0,
+        observation.acceleration_m_s2, state.speed_m_s * turning, _GRAVITY_M_S2,
+        0.0, 0.0, turning, state.speed_m_s, 0.0, 0.0,
     )  # fmt: skip
     return [float(each) for each in signals]
 
 
 def _ego_to_world(observation: Observation) -> Float64[np.ndarray, "4 4"]:
-    state, matrix = observation.state, np.eye(4)
-    cosine, sine = np.cos(state.yaw_rad), np.sin(state.yaw_rad)
-    matrix[:2, :2] = [[cosine, -sine], [sine, cosine]]
-    matrix[:2, 3] = state.x_m, state.y_m
-    return matrix
+    return observation.state.rig_to_world(0.0)
 
 
 def _calibration(cameras: list[RigCamera], rig: Rig) -> dict[str, Any]:

@@ -16,6 +16,8 @@ from ..vehicle.state import VehicleState
 from ..vehicle.vehicle import Vehicle
 
 Command = Literal["right", "left", "straight"]
+COMMANDS: tuple[Command, ...] = ("right", "left", "straight")
+"""In the order of nuScenes' numbers, which UniAD, HUGSIM and NeuroNCAP share: 0, 1, 2."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

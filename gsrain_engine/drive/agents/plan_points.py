@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
+from .agent import FARTHEST_M
 from .client_error import ClientError
 
 _MOST_POINTS = 1000
-_FARTHEST_M = 10_000.0
 
 
 def plan_points(value: Any, who: str) -> Float64[np.ndarray, "n 2"]:
@@ -28,8 +28,8 @@ def plan_points(value: Any, who: str) -> Float64[np.ndarray, "n 2"]:
         raise ClientError(f"{who} sent a plan of shape {points.shape}, not (N, 2) with N from 1 to {_MOST_POINTS}")
     if not np.isfinite(points).all():
         raise ClientError(f"{who} sent a plan with points that are not finite")
-    if np.abs(points).max() > _FARTHEST_M:
-        raise ClientError(f"{who} sent a plan with points farther than {_FARTHEST_M / 1000:g} km")
+    if np.abs(points).max() > FARTHEST_M:
+        raise ClientError(f"{who} sent a plan with points farther than {FARTHEST_M / 1000:g} km")
     return points
 
 

@@ -18,7 +18,6 @@ from ..agents.observation import Observation
 from ..scenario.scenario import Scenario, load_scenario
 from ..simulation.rig_pictures import RigPictures, needed_cameras
 from ..simulation.simulation import Simulation
-from ..vehicle.bicycle import yaw_rate
 from .actions import control_of, control_space, plan_space
 from .observations import observation_space, seen
 from .reward import Reward
@@ -82,7 +81,11 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         needs = Needs(tuple(cameras), depth, semantic)
         draws = bool(cameras) or render_mode is not None
         self._renderer = self._resources.enter_context(open_renderer(backend)) if draws else None
-        self.simulation = Simulation(chosen, opened, needs, self._renderer if cameras else None)
+        try:
+            self.simulation = Simulation(chosen, opened, needs, self._renderer if cameras else None)
+        except ValueError:
+            self.close()
+            raise
         """The drive itself; its `rollout("NAME")` is the record of the present episode."""
         mounted = self.simulation.rig.cameras
         if draws and not mounted:
@@ -135,12 +138,7 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
             return now.views[front.name].image
         if self._front is None:
             self._front = RigPictures(self._renderer, simulation.scenario.rain, (front,), _FRONT)
-        state = now.state
-        velocity = state.speed_m_s * np.array([np.cos(state.yaw_rad), np.sin(state.yaw_rad), 0.0])
-        turning = yaw_rate(simulation.scenario.vehicle, state)
-        time_s = simulation.scenario.start_s + now.time_s
-        views = self._front.views(simulation.scene_now, simulation.rig_to_world, velocity, turning, time_s)
-        return views[front.name].image
+        return simulation.seen_by(self._front)[front.name].image
 
     def close(self) -> None:
         """Let go of the renderer; it is not used again."""

@@ -10,7 +10,8 @@ from jaxtyping import Float32, Float64
 from gsrain_engine.scene.scene import RigCamera
 
 from ..agents.agent import Needs
-from ..agents.observation import Observation
+from ..agents.observation import COMMANDS, Observation
+from ..angles import wrapped
 from ..traffic.road_user import RoadUser
 from ..vehicle.bicycle import yaw_rate
 from ..vehicle.state import VehicleState
@@ -18,8 +19,6 @@ from ..vehicle.vehicle import Vehicle
 
 ROUTE_POINTS, ROUTE_STEP_M = 30, 2.0
 MOST_ROAD_USERS = 16
-COMMANDS = ("right", "left", "straight")
-"""In HUGSIM's numbers: 0, 1, 2."""
 _FAR_M = 10_000.0
 _EGO = np.array([200.0, 100.0, 2.0, 20.0, 100.0, 1000.0, np.pi], np.float32)
 _USER = np.array([_FAR_M, _FAR_M, np.pi, 100.0, 100.0, 100.0, 200.0], np.float32)
@@ -76,7 +75,7 @@ def seen(observation: Observation, vehicle: Vehicle) -> dict[str, Any]:
 def _ego(observation: Observation, vehicle: Vehicle) -> Float32[np.ndarray, "7"]:
     state, route = observation.state, observation.route
     on = route.nearest(state.x_m, state.y_m)
-    turned = (state.yaw_rad - route.at(on.along_m)[2] + np.pi) % (2 * np.pi) - np.pi
+    turned = wrapped(state.yaw_rad - route.at(on.along_m)[2])
     values = (
         state.speed_m_s, observation.acceleration_m_s2, state.steer_rad, observation.steer_rate_rad_s,
         yaw_rate(vehicle, state), on.left_m, turned,
@@ -100,7 +99,7 @@ def _road_users(state: VehicleState, users: Sequence[RoadUser]) -> tuple[int, Fl
     nearest = np.argsort(np.linalg.norm(places, axis=1), kind="stable")[:MOST_ROAD_USERS]
     for row, i in enumerate(nearest):
         user = users[i]
-        turned = (user.yaw_rad - state.yaw_rad + np.pi) % (2 * np.pi) - np.pi
+        turned = wrapped(user.yaw_rad - state.yaw_rad)
         rows[row] = _within(np.array([*places[i], turned, *user.size_lwh, user.speed_m_s]), _USER)
     return len(nearest), rows
 

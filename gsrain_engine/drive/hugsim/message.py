@@ -9,12 +9,11 @@ from jaxtyping import UInt8
 from gsrain_engine.scene.scene import RigCamera
 
 from ..agents.lidar_mount import lidar_to_rig
-from ..agents.observation import CameraView, Observation, Rig
+from ..agents.observation import COMMANDS, CameraView, Observation, Rig
 from .axes import HugsimWorld
 from .setting import CAMERA_NAMES
 
 ChannelOrder = Literal["rgb", "bgr"]
-COMMANDS = {"right": 0, "left": 1, "straight": 2}
 _UNKNOWN = 19
 """The class after Cityscapes' last: HUGSIM's scenes know twenty."""
 _ROUTE_SHARE = 0.9
@@ -65,7 +64,7 @@ def hugsim_info(
         "accelerate": float(observation.acceleration_m_s2),
         "steer_rate": -float(observation.steer_rate_rad_s),
         "timestamp": float(observation.time_s),
-        "command": COMMANDS[observation.command],
+        "command": COMMANDS.index(observation.command),
         "ego_box": world.ego_box(rig, observation),
         "obj_boxes": [world.object_box(user) for user in observation.road_users],
         "cam_params": {name: dict(values) for name, values in cameras.items()},

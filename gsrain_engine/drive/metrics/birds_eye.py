@@ -165,10 +165,10 @@ def _mark_collision(axes: Axes, rollout: Rollout, start: VehicleState) -> str:
 
 
 def _touch(rollout: Rollout, step: RolloutStep) -> Float64[np.ndarray, "2"]:
-    """Return where two boxes overlap; the vehicle's front where it is the background."""
+    """Return where two boxes overlap; the vehicle's front where it is the background, or it has passed already."""
     own = _own_box(rollout, step)
     for record, box in zip(step.road_users, user_boxes(step.road_users, rollout.users), strict=True):
-        if record.id == step.collision:
+        if record.id == step.collision and own.touches(box):
             middle: Any = own.polygon.intersection(box.polygon).centroid
             return np.array([middle.x, middle.y])
     return own.corners[[0, 3]].mean(axis=0)

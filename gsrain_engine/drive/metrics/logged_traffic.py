@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ..angles import wrapped
 from ..road.planar_box import PlanarBox
 from ..simulation.rollout import Rollout, UserModel, UserRecord
 
@@ -53,12 +54,11 @@ def user_boxes(records: Sequence[UserRecord], users: Mapping[str, UserModel]) ->
 
 
 def _between(before: UserRecord, after: UserRecord, share: float) -> UserRecord:
-    turn = (after.yaw_rad - before.yaw_rad + np.pi) % (2 * np.pi) - np.pi
     return UserRecord(
         id=before.id,
         x_m=before.x_m + share * (after.x_m - before.x_m),
         y_m=before.y_m + share * (after.y_m - before.y_m),
         z_m=before.z_m + share * (after.z_m - before.z_m),
-        yaw_rad=before.yaw_rad + share * float(turn),
+        yaw_rad=before.yaw_rad + share * wrapped(after.yaw_rad - before.yaw_rad),
         speed_m_s=before.speed_m_s + share * (after.speed_m_s - before.speed_m_s),
     )

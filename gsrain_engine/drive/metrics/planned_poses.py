@@ -7,6 +7,7 @@ from jaxtyping import Float64
 
 from ..road.planar_box import PlanarBox
 from ..simulation.rollout import EgoRecord, RolloutStep
+from ..vehicle.body import vehicle_box
 from ..vehicle.state import VehicleState
 from ..vehicle.vehicle import Vehicle
 
@@ -27,9 +28,7 @@ def ego_pose(ego: EgoRecord) -> Float64[np.ndarray, "3"]:
 
 def ego_box(vehicle: Vehicle, pose: Float64[np.ndarray, "3"]) -> PlanarBox:
     """Return the box on the ground that the vehicle takes up with its rear axle at a pose."""
-    x, y, yaw = (float(each) for each in pose)
-    middle = vehicle.middle_m
-    return PlanarBox(x + middle * np.cos(yaw), y + middle * np.sin(yaw), yaw, vehicle.length_m, vehicle.width_m)
+    return vehicle_box(vehicle, VehicleState(*(float(each) for each in pose)))
 
 
 def planned_poses(step: RolloutStep, reading: PlanReading = "all") -> Float64[np.ndarray, "n 3"]:

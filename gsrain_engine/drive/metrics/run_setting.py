@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-import msgspec
-
+from ..simulation.driven_vehicle import driven_vehicle
 from ..simulation.rollout import Rollout, RolloutStep
 from ..vehicle.vehicle import Vehicle
 
@@ -24,11 +23,7 @@ def run_setting(rollout: Rollout) -> RunSetting:
 
     Raises ValueError for a vehicle that can't be read.
     """
-    plain = rollout.scenario
-    try:
-        vehicle = msgspec.convert(plain.get("vehicle", {}), Vehicle)
-    except msgspec.ValidationError as error:
-        raise ValueError(f"the roll-out's scenario.vehicle: {error}") from None
+    plain, vehicle = rollout.scenario, driven_vehicle(rollout)
     intensity = float(plain.get("rain", {}).get("intensity_mm_h", 0.0))
     name, description = str(plain.get("name", "")), str(plain.get("description", ""))
     return RunSetting(name, description, intensity, vehicle)

@@ -9,9 +9,9 @@ from jaxtyping import Float64, Int64
 from gsrain_engine.scene.scene import Scene
 
 from .ground import Ground
-from .occupied_space import OccupiedSpace, cell_keys
+from .occupied_space import OccupiedSpace, cell_keys, holds_cells
 from .planar_box import PlanarBox
-from .recorded_places import BESIDE_M, recorded_places
+from .recorded_places import known_reach
 from .solid_pieces import Reach, SolidPieces, solid_pieces
 
 ROAD_LAYERS = frozenset({"road", "ground"})
@@ -39,11 +39,7 @@ class Drivable:
         return np.array([[self._share(box.part(x, y)) for y in (0, 1)] for x in (0, 1)])
 
     def _share(self, box: PlanarBox) -> float:
-        if not len(self.keys):
-            return 0.0
-        wanted = cell_keys(box.lattice(_STEP_M), _CELL_M)
-        at = np.minimum(np.searchsorted(self.keys, wanted), len(self.keys) - 1)
-        return float((self.keys[at] == wanted).mean())
+        return float(holds_cells(self.keys, cell_keys(box.lattice(_STEP_M), _CELL_M)).mean())
 
 
 @lru_cache(maxsize=2)
@@ -53,11 +49,7 @@ def drivable_of(scene: Scene, ground: Ground, occupied: OccupiedSpace) -> Drivab
     Layers called "road" or "ground" are it. Where there are none it is what lies flat on the ground and has nothing
     standing on it.
     """
-    drive = recorded_places(scene)
-    if not len(drive):
-        drive = np.zeros((1, 3))
-    spot = np.array([BESIDE_M, BESIDE_M, 0.0])
-    low, high = drive.min(axis=0) - spot, drive.max(axis=0) + spot
+    low, high = known_reach(scene)
     low[2], high[2] = ground.grid.heights_m.min() - 1, ground.grid.heights_m.max() + 1
     named = any(layer.name in ROAD_LAYERS and layer.visible for layer in scene.layers)
     pieces = solid_pieces(scene, Reach(low, high), _CELL_M, ROAD_LAYERS if named else None)

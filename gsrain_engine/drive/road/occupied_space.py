@@ -10,7 +10,7 @@ from gsrain_engine.scene.scene import Scene
 
 from .ground import Ground
 from .planar_box import PlanarBox
-from .recorded_places import BESIDE_M, recorded_places
+from .recorded_places import known_reach
 from .solid_pieces import Reach, Slab, solid_pieces
 
 LOW_M, HIGH_M = 0.3, 1.5
@@ -41,11 +41,7 @@ class OccupiedSpace:
 
     def holds(self, places: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
         """Which places lie in one of them."""
-        if not len(self.keys):
-            return np.zeros(len(places), np.bool_)
-        wanted = cell_keys(places, CELL_M)
-        at = np.searchsorted(self.keys, wanted)
-        return self.keys[np.minimum(at, len(self.keys) - 1)] == wanted
+        return holds_cells(self.keys, cell_keys(places, CELL_M))
 
 
 @lru_cache(maxsize=2)
@@ -55,13 +51,8 @@ def occupied_space_of(scene: Scene, ground: Ground) -> OccupiedSpace:
     The areas that solid Gaussians between knee and roof show from the side are added up in cells, so it does not matter
     of how many a thing is made (HUGSIM counts Gaussians: more than a hundred of opacity over 0.8).
     """
-    drive = recorded_places(scene)
-    if not len(drive):
-        drive = np.zeros((1, 3))
-    spot = np.array([BESIDE_M, BESIDE_M, 0.0])
-    lowest, highest = float(ground.grid.heights_m.min()), float(ground.grid.heights_m.max())
-    low, high = drive.min(axis=0) - spot, drive.max(axis=0) + spot
-    low[2], high[2] = lowest + LOW_M, highest + HIGH_M
+    low, high = known_reach(scene)
+    low[2], high[2] = ground.grid.heights_m.min() + LOW_M, ground.grid.heights_m.max() + HIGH_M
     pieces = solid_pieces(scene, Reach(low, high, Slab(ground.grid, LOW_M, HIGH_M)), CELL_M)
     keys, owner = np.unique(cell_keys(pieces.places[:, :2], CELL_M), return_inverse=True)
     area = np.bincount(owner.ravel(), pieces.side_m2, len(keys)).astype(np.float64)
@@ -72,6 +63,13 @@ def cell_keys(places: Float64[np.ndarray, "n 2"], cell_m: float) -> Int64[np.nda
     """Number the square cells of the plane: rising with x, then with y."""
     x, y = np.floor(places / cell_m).astype(np.int64).T
     return x * _SHIFT + y
+
+
+def holds_cells(keys: Int64[np.ndarray, " n"], wanted: Int64[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
+    """Which numbers of cells are among others, which rise."""
+    if not len(keys):
+        return np.zeros(len(wanted), np.bool_)
+    return keys[np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)] == wanted
 
 
 def _around(keys: Int64[np.ndarray, " n"], values: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:

@@ -9,6 +9,8 @@ from jaxtyping import Float64
 
 from gsrain_engine.scene.scene import Scene
 
+from .recorded_places import recorded_places
+
 
 class OnRoute(NamedTuple):
     """Where something is in relation to a route."""
@@ -72,10 +74,10 @@ def recorded_route(scene: Scene) -> Route:
 
     Raises ValueError where the scene has none, or where it stood still.
     """
-    poses = [] if scene.ego is None else [scene.ego_to_world(float(t)) for t in scene.ego.times]
-    places = np.array([pose[:2, 3] for pose in poses if pose is not None]).reshape(-1, 2)
+    if scene.ego is None:
+        raise ValueError(f"scene {scene.name!r} has no drive to follow: it has no ego vehicle")
     kept: list[np.ndarray] = []
-    for place in places:
+    for place in recorded_places(scene)[:, :2]:
         if not kept or np.linalg.norm(place - kept[-1]) >= _STEP_M:
             kept.append(place)
     if len(kept) < 2:

@@ -6,6 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from ..angles import wrapped_deg
 from ..vehicle.vehicle import HUGSIM_VEHICLE
 from .scenario import Scenario, ScenarioUser
 
@@ -100,7 +101,7 @@ def _user(path: Path, number: int, row: _Row, found: _HugsimScenario) -> Scenari
         "placed": "straight",
         "ahead_m": float(right * np.sin(turned) + forward * np.cos(turned)),
         "left_m": float(-right * np.cos(turned) + forward * np.sin(turned)),
-        "turned_deg": _folded(float(np.degrees(row.yaw_rad + turned))),
+        "turned_deg": wrapped_deg(float(np.degrees(row.yaw_rad + turned))),
         "speed_m_s": row.speed_m_s,
         "behaviour": _behaviour(where, row),
     }
@@ -125,7 +126,3 @@ def _behaviour(where: str, row: _Row) -> dict[str, Any]:
     raise ValueError(
         f"{where}: planner {row.planner!r} is not known, only ConstantPlanner, UnicyclePlanner, IDM and AttackPlanner"
     )
-
-
-def _folded(degrees: float) -> float:
-    return (degrees + 180.0) % 360.0 - 180.0

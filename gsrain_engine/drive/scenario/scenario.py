@@ -9,10 +9,15 @@ from msgspec import Meta
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.shipped_configs import load_config, shipped_names
 
+from ..simulation.rollout import BACKGROUND
 from ..traffic.behaviours import BehaviourSettings
+from ..traffic.ego_user import EGO
 from ..vehicle.vehicle import Vehicle
 
 _FOLDER = "scenarios"
+_Side = Annotated[float, Meta(gt=0, le=100)]
+_TAKEN = (EGO, BACKGROUND)
+"""Ids by which roll-outs mean something else."""
 
 
 class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -29,7 +34,7 @@ class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     ] = "saloon"
     class_name: Annotated[str, Meta(title="Class")] = "car"
     size_lwh_m: Annotated[
-        tuple[float, float, float] | None,
+        tuple[_Side, _Side, _Side] | None,
         Meta(title="Size", description="Length, width and height; none takes the model's.", extra={"unit": "m"}),
     ] = None
     placed: Annotated[
@@ -138,6 +143,9 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         doubled = next((each for each in ids if ids.count(each) > 1), None)
         if doubled is not None:
             raise ValueError(f"two road users are called {doubled!r}")
+        taken = next((each for each in ids if each in _TAKEN), None)
+        if taken is not None:
+            raise ValueError(f"a road user can't be called {taken!r}: roll-outs mean something else by it")
 
 
 def scenario_names() -> list[str]:

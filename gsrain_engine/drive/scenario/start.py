@@ -12,8 +12,12 @@ from .scenario import Scenario, ScenarioUser
 def start_along_m(scenario: Scenario, scene: Scene, route: Route) -> float:
     """Return how far along the route the ego vehicle starts.
 
-    Raises ValueError where the scene has no ego vehicle at that time.
+    Raises ValueError where the scene has no ego vehicle at that time, or its drive is over by then.
     """
+    last_s = scene.ego.times[-1] if scene.ego is not None and len(scene.ego.times) else np.inf
+    if not scenario.start_s <= last_s:
+        raise ValueError(f"scenario {scenario.name}: at {scenario.start_s:g} s the drive of scene {scene.name!r} is "
+                         f"over; it ends at {last_s:g} s")  # fmt: skip
     pose = scene.ego_to_world(scenario.start_s)
     if pose is None:
         raise ValueError(f"scene {scene.name!r} has no ego vehicle at {scenario.start_s:g} s")

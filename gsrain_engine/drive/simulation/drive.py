@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from ..agents.agent import Agent
 from ..agents.observation import Observation
+from .rollout import Rollout
 from .simulation import Simulation
 
 
@@ -20,3 +21,10 @@ def drive(simulation: Simulation, agent: Agent) -> Iterator[Observation]:
         simulation.step(plan)
         if simulation.end is None:
             observation = simulation.observation()
+
+
+def drive_through(simulation: Simulation, agent: Agent) -> Rollout:
+    """Let an agent drive to the end, and return what happened. What it raises comes through."""
+    for _ in drive(simulation, agent):
+        pass
+    return simulation.rollout(agent.name)

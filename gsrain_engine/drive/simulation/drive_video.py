@@ -23,10 +23,10 @@ from ..agents.agent import Needs
 from ..road.ground import ground_of
 from ..road.occupied_space import occupied_space_of
 from ..road.planar_box import PlanarBox
+from ..vehicle.body import vehicle_box
 from .played_rollout import PlayedRollout
 from .rig_pictures import needed_cameras, placed_camera
 from .rollout import RolloutStep
-from .simulation import vehicle_box
 
 Color = tuple[int, int, int]
 Picture = UInt8[np.ndarray, "h w 3"]

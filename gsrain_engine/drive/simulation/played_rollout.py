@@ -9,6 +9,7 @@ from jaxtyping import Float64
 from gsrain_engine.scene.scene import RigCamera, Scene
 
 from ..agents.observation import Rig
+from ..angles import wrapped
 from ..road.ground import ground_of
 from ..scenario.scenario import Scenario
 from ..traffic.models import user_look
@@ -106,4 +107,4 @@ def _mixed(before: float, after: float, part: float) -> float:
 
 def _turned(before: float, after: float, part: float) -> float:
     """Between two angles, the shorter way."""
-    return before + part * float(np.remainder(after - before + np.pi, 2 * np.pi) - np.pi)
+    return before + part * wrapped(after - before)

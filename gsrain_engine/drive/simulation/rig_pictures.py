@@ -16,6 +16,7 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import RigCamera, Scene
 
 from ..agents.agent import Needs
+from ..agents.lidar_mount import front_camera
 from ..agents.observation import CameraView
 from .semantics import semantic_ids
 
@@ -69,23 +70,23 @@ def rig_cameras(scene: Scene, name: str | None) -> tuple[RigCamera, ...]:
 
     Raises ValueError for a rig that it does not have.
     """
-    if not scene.rigs:
-        return ()
     if name is None:
-        return next(iter(scene.rigs.values()))
+        return next(iter(scene.rigs.values()), ())
     if name not in scene.rigs:
-        raise ValueError(f"scene {scene.name!r} has no rig {name!r}, only {', '.join(scene.rigs)}")
+        raise ValueError(f"scene {scene.name!r} has no rig {name!r}, only {', '.join(scene.rigs) or 'none'}")
     return scene.rigs[name]
 
 
 def needed_cameras(cameras: Sequence[RigCamera], needs: Needs) -> tuple[RigCamera, ...]:
     """Return the cameras that an agent needs, in the order of the rig.
 
-    Raises ValueError for a name that the rig does not have.
+    Raises ValueError for a name that the rig does not have, and where there are no cameras at all.
     """
     names = set(needs.cameras)
+    if names and not cameras:
+        raise ValueError("the agent needs pictures, and the scene has no rig of cameras")
     if "front" in names:
-        names = (names - {"front"}) | {max(cameras, key=lambda each: each.camera_to_ego[0, 2]).name}
+        names = (names - {"front"}) | {front_camera(tuple(cameras)).name}
     if "all" in names:
         names = {each.name for each in cameras}
     missing = sorted(names - {each.name for each in cameras})

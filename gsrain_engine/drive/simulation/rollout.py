@@ -4,6 +4,9 @@ from typing import Any
 
 import msgspec
 
+BACKGROUND = "background"
+"""What was hit where it is no road user."""
+
 
 class EgoRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The ego vehicle at a moment: the middle of its rear axle, on the ground. World frame."""

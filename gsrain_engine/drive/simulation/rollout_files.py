@@ -11,12 +11,14 @@ from .rollout import Rollout, RolloutStep
 
 _MOST_BYTES = 1 << 30
 _VERSION = 1
+_MOMENTS = "moments"
+"""How many lines follow the first: a file that is torn between two lines shows it by nothing else."""
 
 
 def write_rollout(path: Path, rollout: Rollout) -> None:
     """Write a roll-out; the file is whole or not there at all. The same roll-out gives the same bytes."""
     header = msgspec.structs.asdict(rollout)
-    del header["steps"]
+    header[_MOMENTS] = len(header.pop("steps"))
     with whole_file(path) as beside, beside.open("wb") as file:
         for line in (header, *rollout.steps):
             file.write(msgspec.json.encode(line, order="sorted") + b"\n")
@@ -32,13 +34,26 @@ def read_rollout(path: Path) -> Rollout:
         raise ValueError(f"{path}: {size / 1e9:.1f} GB is too large for a roll-out; at most {_MOST_BYTES / 1e9:.1f} GB")
     first, *rest = path.read_bytes().splitlines() or [b""]
     header = _header(path, first)
+    count = header.pop(_MOMENTS, None)
     steps = [_step(path, number, line) for number, line in enumerate(rest, start=2)]
     if not steps:
         raise ValueError(f"{path}: a roll-out of no moment: it has been torn off after its first line")
+    if count not in (None, len(steps)):
+        raise ValueError(f"{path}: a torn roll-out: its first line says {count} moments, {len(steps)} follow")
     try:
-        return msgspec.convert({**header, "steps": tuple(steps)}, Rollout)
+        rollout = msgspec.convert({**header, "steps": tuple(steps)}, Rollout)
     except msgspec.ValidationError as error:
         raise ValueError(f"{path}: line 1: {error}") from None
+    check_users(path, rollout)
+    return rollout
+
+
+def check_users(path: Path, rollout: Rollout) -> None:
+    """Raise ValueError where a moment has somebody in it whom the roll-out does not describe."""
+    for step in rollout.steps:
+        for user in step.road_users:
+            if user.id not in rollout.users:
+                raise ValueError(f"{path}: step {step.step}: road user {user.id!r} is not among its `users`")
 
 
 def _header(path: Path, line: bytes) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import msgspec
 from gsrain_engine.scene.atomic_files import whole_file
 
 from .rollout import EgoRecord, Rollout, RolloutStep, UserRecord
+from .rollout_files import check_users
 
 _HEADER = b"gsrain.rollout"
 """Key of the file's metadata: what is the same for the whole drive, as JSON."""
@@ -50,9 +51,11 @@ def read_rollout_parquet(path: Path) -> Rollout:
         plain = msgspec.json.decode(header)
         if plain["version"] > _VERSION:
             raise ValueError(f"{path}: a roll-out of version {plain['version']}; this program reads up to {_VERSION}")
-        return msgspec.convert({**plain, "steps": [_step(row) for row in table.to_pylist()]}, Rollout)
+        rollout = msgspec.convert({**plain, "steps": [_step(row) for row in table.to_pylist()]}, Rollout)
     except (msgspec.MsgspecError, KeyError, TypeError) as error:
         raise ValueError(f"{path}: a roll-out that can't be read: {error}") from None
+    check_users(path, rollout)
+    return rollout
 
 
 def _pyarrow() -> tuple[Any, Any]:

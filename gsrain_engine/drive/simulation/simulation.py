@@ -10,43 +10,46 @@ from jaxtyping import Float64
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.scene.scene import Scene
 
-from ..agents.agent import NOTHING, SPACING_S, Needs, Plan
-from ..agents.observation import Observation, Rig
+from ..agents.agent import FARTHEST_M, NOTHING, SPACING_S, Needs, Plan
+from ..agents.observation import CameraView, Observation, Rig
 from ..road.ground import ground_of
 from ..road.occupied_space import OccupiedSpace, occupied_space_of
-from ..road.planar_box import PlanarBox
 from ..road.route import OnRoute, Route, recorded_route
 from ..scenario.scenario import Scenario
 from ..scenario.start import start_state
-from ..traffic.road_user import RoadUser
-from ..vehicle.bicycle import limited, moved_on
+from ..traffic.ego_user import ego_user
+from ..vehicle.bicycle import limited, moved_on, yaw_rate
 from ..vehicle.controllers import open_controller
 from ..vehicle.state import Control, VehicleState
-from ..vehicle.vehicle import Vehicle
 from .rig_pictures import RigPictures, needed_cameras, of_width, rig_cameras
 from .road_scene import RoadScene
 from .rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
+from .touch import touched
 from .traffic import Traffic
 
-BACKGROUND = "background"
-"""What was hit where it is no road user."""
 _STANDING = Control(0.0, 0.0)
+_SEEDS = 2**32
 
 
 class Simulation:
     """One scenario in one scene, to be driven through by one agent, as often as wanted."""
 
     def __init__(
-        self, scenario: Scenario, scene: Scene, needs: Needs = NOTHING, renderer: Renderer | None = None, seed: int = 0
+        self,
+        scenario: Scenario,
+        scene: Scene,
+        needs: Needs = NOTHING,
+        renderer: Renderer | None = None,
+        seed: int | None = None,
     ) -> None:
         """Make ready. `renderer` is needed where an agent needs cameras; it stays open for as long as this is used.
 
-        Raises ValueError where the scene lacks what the scenario needs: a drive, a rig, a model.
+        `seed` is that of the rain; none takes the scenario's. Raises ValueError where the scene lacks what the scenario
+        needs: a drive, a rig, a model.
         """
         if needs.cameras and renderer is None:
             raise ValueError("the agent needs pictures, and there is nothing that draws them")
-        self.scenario = msgspec.structs.replace(scenario, rain=msgspec.structs.replace(scenario.rain, seed=seed))
-        self.seed = seed
+        self.scenario = scenario if seed is None else _with_seed(scenario, seed)
         self.scene = scene
         self.route: Route = recorded_route(scene)
         self.ground = ground_of(scene)
@@ -62,6 +65,11 @@ class Simulation:
         self._moment = self._start()
         start = self._moment.state
         self._begins_m = self.route.nearest(start.x_m, start.y_m).along_m
+        if self._begins_m >= self.route.length_m:
+            raise ValueError(
+                f"scenario {scenario.name}: it starts where the route of scene {scene.name!r} ends: nothing is left to "
+                "be driven"
+            )
         self.end: str | None = None
         """Why the drive is over; none while it goes on."""
         self._steps: list[RolloutStep] = []
@@ -69,9 +77,7 @@ class Simulation:
     def reset(self, seed: int | None = None) -> Observation:
         """Begin the drive anew; with other drops where a seed is given."""
         if seed is not None:
-            self.seed = seed
-            rain = msgspec.structs.replace(self.scenario.rain, seed=seed)
-            self.scenario = msgspec.structs.replace(self.scenario, rain=rain)
+            self.scenario = _with_seed(self.scenario, seed)
         self._controller.reset()
         self._traffic.reset()
         if self._renderer is not None and self._shown:
@@ -81,26 +87,36 @@ class Simulation:
         self._judge()
         return self.observation()
 
+    @property
+    def seed(self) -> int:
+        """Of the rain of this drive."""
+        return self.scenario.rain.seed
+
     def step(self, plan: Plan | None) -> None:
-        """Follow a plan for one step; without one, or with an empty one, the drive is over."""
+        """Follow a plan for one step; without one, or with an empty one, the drive is over.
+
+        Raises ValueError for a plan that is none, and where the drive is over already.
+        """
+        self._check_goes_on()
         if plan is None or not len(plan.points):
             self._finish("agent", plan)
             return
-        if plan.points.ndim != 2 or plan.points.shape[1] != 2 or not np.isfinite(plan.points).all():
-            raise ValueError(f"a plan of shape {plan.points.shape}: expected finite points (N, 2)")
         points = np.asarray(plan.points, np.float64)
+        if points.ndim != 2 or points.shape[1] != 2:
+            raise ValueError(f"a plan of shape {points.shape}: expected points (N, 2)")
+        if not (np.abs(points) <= FARTHEST_M).all():
+            raise ValueError(f"a plan with points that are not finite, or farther than {FARTHEST_M / 1000:g} km")
         control = self._controller.control(self.scenario.vehicle, self._moment.state, points, SPACING_S)
         self.advance(control, plan)
 
     def advance(self, control: Control, plan: Plan | None = None) -> None:
         """Move everybody on by one step under a control; `plan` is what it comes from, for the record."""
-        if self.end is not None:
-            raise ValueError(f"the drive is over ({self.end}); reset it")
+        self._check_goes_on()
         before, dt = self._moment, self.scenario.step_s
         self._record(plan)
         control = limited(self.scenario.vehicle, before.state, control, dt)
         state = moved_on(self.scenario.vehicle, before.state, control, dt)
-        self._traffic.advance(before.time_s, self._ego(before.state), dt)
+        self._traffic.advance(before.time_s, ego_user(self.scenario.vehicle, before.state), dt)
         self._moment = _Moment(before.step + 1, (before.step + 1) * dt, state, control)
         self._judge()
 
@@ -108,15 +124,19 @@ class Simulation:
         """Show the present moment, with the pictures that the agent needs."""
         moment, state = self._moment, self._moment.state
         height = self.ground.height_m(state.x_m, state.y_m)
-        views = {}
-        if self._pictures is not None:
-            velocity = state.speed_m_s * np.array([np.cos(state.yaw_rad), np.sin(state.yaw_rad), 0.0])
-            time_s = self.scenario.start_s + moment.time_s
-            views = self._pictures.views(self.scene_now, self.rig_to_world, velocity, self._yaw_rate(state), time_s)
+        views = {} if self._pictures is None else self.seen_by(self._pictures)
         return Observation(
             moment.step, moment.time_s, state, moment.control.acceleration_m_s2, moment.control.steer_rate_rad_s,
             height, "straight", views, self.route, self._traffic.users,
         )  # fmt: skip
+
+    def seen_by(self, pictures: RigPictures) -> dict[str, CameraView]:
+        """Draw the present moment for cameras of the rig, those of another than the agent too."""
+        state = self._moment.state
+        velocity = state.speed_m_s * np.array([np.cos(state.yaw_rad), np.sin(state.yaw_rad), 0.0])
+        time_s = self.scenario.start_s + self._moment.time_s
+        turning = yaw_rate(self.scenario.vehicle, state)
+        return pictures.views(self.scene_now, self.rig_to_world, velocity, turning, time_s)
 
     @property
     def scene_now(self) -> Scene:
@@ -150,6 +170,10 @@ class Simulation:
     def _start(self) -> "_Moment":
         return _Moment(0, 0.0, start_state(self.scenario, self.scene, self.route), _STANDING)
 
+    def _check_goes_on(self) -> None:
+        if self.end is not None:
+            raise ValueError(f"the drive is over ({self.end}); reset it")
+
     def _judge(self) -> None:
         """Say whether the drive is over at the present moment, and why."""
         if self._hit is not None:
@@ -177,7 +201,7 @@ class Simulation:
             ego=EgoRecord(
                 x_m=state.x_m, y_m=state.y_m, z_m=height, yaw_rad=state.yaw_rad, speed_m_s=state.speed_m_s,
                 steer_rad=state.steer_rad, acceleration_m_s2=moment.control.acceleration_m_s2,
-                steer_rate_rad_s=moment.control.steer_rate_rad_s, yaw_rate_rad_s=self._yaw_rate(state),
+                steer_rate_rad_s=moment.control.steer_rate_rad_s, yaw_rate_rad_s=yaw_rate(self.scenario.vehicle, state),
             ),
             road_users=tuple(
                 UserRecord(id=user.id, x_m=user.x_m, y_m=user.y_m, z_m=user.z_m, yaw_rad=user.yaw_rad,
@@ -193,21 +217,9 @@ class Simulation:
 
     @property
     def _hit(self) -> str | None:
-        box = vehicle_box(self.scenario.vehicle, self._moment.state)
-        foot = self.ground.height_m(box.x_m, box.y_m)
-        top = foot + self.scenario.vehicle.height_m
-        for user in self._traffic.users:
-            is_over_or_under = user.z_m >= top or user.z_m + user.size_lwh[2] <= foot
-            if not is_over_or_under and box.touches(user.box):
-                return user.id
-        return BACKGROUND if self.occupied.touches(self._since_last(box)) else None
-
-    def _since_last(self, box: PlanarBox) -> PlanarBox:
-        """Return the vehicle's box, so long that a fast one leaves no gap to where it was a step ago."""
-        gone = self._moment.state.speed_m_s * self.scenario.step_s if self._moment.step else 0.0
-        more = max(gone - box.length_m, 0.0)
-        x, y = box.x_m - more / 2 * np.cos(box.yaw_rad), box.y_m - more / 2 * np.sin(box.yaw_rad)
-        return PlanarBox(float(x), float(y), box.yaw_rad, box.length_m + more, box.width_m)
+        moment, scenario = self._moment, self.scenario
+        since_s = scenario.step_s if moment.step else 0.0
+        return touched(scenario.vehicle, moment.state, self._traffic.users, self.ground, self.occupied, since_s)
 
     @property
     def _on_route(self) -> OnRoute:
@@ -217,15 +229,6 @@ class Simulation:
     def _completion(self) -> float:
         start, ahead = self._begins_m, self.route.length_m - self._begins_m
         return float(np.clip((self._on_route.along_m - start) / ahead, 0.0, 1.0)) if ahead > 0 else 1.0
-
-    def _yaw_rate(self, state: VehicleState) -> float:
-        return float(state.speed_m_s * np.tan(state.steer_rad) / self.scenario.vehicle.wheelbase_m)
-
-    def _ego(self, state: VehicleState) -> RoadUser:
-        vehicle = self.scenario.vehicle
-        box = vehicle_box(vehicle, state)
-        size = vehicle.length_m, vehicle.width_m, vehicle.height_m
-        return RoadUser("ego", "car", size, box.x_m, box.y_m, state.yaw_rad, state.speed_m_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,11 +240,11 @@ class _Moment:
     """Over the step before."""
 
 
-def vehicle_box(vehicle: Vehicle, state: VehicleState) -> PlanarBox:
-    """Return the box on the ground that a vehicle takes up."""
-    x = state.x_m + vehicle.middle_m * np.cos(state.yaw_rad)
-    y = state.y_m + vehicle.middle_m * np.sin(state.yaw_rad)
-    return PlanarBox(float(x), float(y), state.yaw_rad, vehicle.length_m, vehicle.width_m)
+def _with_seed(scenario: Scenario, seed: int) -> Scenario:
+    """Return a scenario in whose rain other drops fall; raises ValueError for a seed that there is not."""
+    if not 0 <= seed < _SEEDS:
+        raise ValueError(f"seed {seed}: must be within 0..{_SEEDS - 1}")
+    return msgspec.structs.replace(scenario, rain=msgspec.structs.replace(scenario.rain, seed=seed))
 
 
 def _plain(value: object) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import msgspec
 from ..agents.registry import AgentOptions, open_agent
 from ..metrics.summary import measured
 from ..road.drivable import drivable_of
-from ..simulation.drive import drive
+from ..simulation.drive import drive_through
 from ..simulation.rollout import Rollout
 from ..simulation.simulation import Simulation
 from .job import DriveJob
@@ -24,9 +24,7 @@ def do_drive(job: DriveJob, bench: Workbench) -> Outcome:
     try:
         renderer = bench.renderer(job.backend) if agent.needs.cameras else None
         simulation = Simulation(job.scenario, scene, agent.needs, renderer, job.seed)
-        for _ in drive(simulation, agent):
-            pass
-        rollout = _recorded(simulation.rollout(agent.name), job)
+        rollout = _recorded(drive_through(simulation, agent), job)
         drivable = drivable_of(scene, simulation.ground, simulation.occupied)
         metrics = measured(rollout, simulation.occupied, drivable)
     finally:

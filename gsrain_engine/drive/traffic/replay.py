@@ -8,16 +8,18 @@ import numpy as np
 from jaxtyping import Float64
 from msgspec import Meta
 
+from ..angles import wrapped
+from ..simulation.driven_vehicle import driven_vehicle
 from ..simulation.rollout import Rollout
-from ..simulation.rollout_files import read_rollout
-from ..vehicle.vehicle import Vehicle
+from ..simulation.rollout_formats import read_any_rollout
+from ..vehicle.body import vehicle_box
+from ..vehicle.state import VehicleState
 from .behaviour import Behaviour, Surroundings
+from .ego_user import EGO
 from .road_user import RoadUser
 
 if TYPE_CHECKING:
     from gsrain_engine.scene.scene import Scene
-
-EGO = "ego"
 
 
 class Replay(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="replay"):
@@ -33,7 +35,7 @@ class Replay(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         path = Path(self.rollout)
         if not path.is_file():
             raise ValueError(f"{path}: no such roll-out")
-        moments = _moments(read_rollout(path), self.user)
+        moments = _moments(read_any_rollout(path), self.user)
         if not len(moments):
             raise ValueError(f"{path}: nobody is called {self.user!r} in this roll-out")
         return _Again(moments)
@@ -43,12 +45,11 @@ def _moments(rollout: Rollout, user: str) -> Float64[np.ndarray, "n 5"]:
     """Time, x, y, heading and speed of a road user's middle, moment by moment; NaN while it is not there."""
     rows: list[tuple[float, ...]] = []
     absent = (float("nan"),) * 4
-    vehicle = msgspec.convert(rollout.scenario.get("vehicle", {}), Vehicle)
+    vehicle = driven_vehicle(rollout)
     for step in rollout.steps:
         if user == EGO:
-            at, middle = step.ego, vehicle.middle_m
-            x, y = at.x_m + middle * np.cos(at.yaw_rad), at.y_m + middle * np.sin(at.yaw_rad)
-            rows.append((step.time_s, float(x), float(y), at.yaw_rad, at.speed_m_s))
+            box = vehicle_box(vehicle, VehicleState(step.ego.x_m, step.ego.y_m, step.ego.yaw_rad))
+            rows.append((step.time_s, box.x_m, box.y_m, box.yaw_rad, step.ego.speed_m_s))
             continue
         here = next((each for each in step.road_users if each.id == user), None)
         place = absent if here is None else (here.x_m, here.y_m, here.yaw_rad, here.speed_m_s)
@@ -81,7 +82,7 @@ class _Again:
         first, last = self._moments[earlier], self._moments[later].copy()
         if share > 1 - 1e-9:
             return self._user(last)
-        last[3] = first[3] + (last[3] - first[3] + np.pi) % (2 * np.pi) - np.pi
+        last[3] = first[3] + wrapped(float(last[3] - first[3]))
         return self._user((1 - share) * first + share * last)
 
     def _user(self, moment: Float64[np.ndarray, "5"]) -> RoadUser | None:

@@ -20,10 +20,12 @@ if TYPE_CHECKING:
 class TrackPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A place at a time, from where the road user begins."""
 
-    time_s: Annotated[float, Meta(gt=0, title="Time", description="Since the scenario began.", extra={"unit": "s"})]
-    ahead_m: Annotated[float, Meta(title="Ahead", description="Along the route.", extra={"unit": "m"})]
+    time_s: Annotated[
+        float, Meta(gt=0, le=1e6, title="Time", description="Since the scenario began.", extra={"unit": "s"})
+    ]
+    ahead_m: Annotated[float, Meta(ge=-1e5, le=1e5, title="Ahead", description="Along the route.", extra={"unit": "m"})]
     left_m: Annotated[
-        float, Meta(title="Left", description="Across it, seen in its direction.", extra={"unit": "m"})
+        float, Meta(ge=-1e5, le=1e5, title="Left", description="Across it, seen in its direction.", extra={"unit": "m"})
     ] = 0.0
 
 

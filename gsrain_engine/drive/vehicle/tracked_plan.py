@@ -5,6 +5,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float64
 
+from ..angles import wrapped
+
 HeadingReference = Literal["tangent", "hugsim"]
 
 SHORTEST_M = 0.1
@@ -32,7 +34,7 @@ def directions(steps: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
     found = np.empty(len(steps))
     before = 0.0
     for i, (x, y) in enumerate(steps):
-        turn = _wrapped(float(np.arctan2(y, x)) - before)
+        turn = wrapped(float(np.arctan2(y, x)) - before)
         if np.hypot(x, y) >= SHORTEST_M and abs(turn) <= np.pi / 2:
             before += turn
         found[i] = before
@@ -55,7 +57,3 @@ def _swapped(steps: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
     right = np.arctan2(steps[:, 0], -steps[:, 1])
     right = np.where(right > np.pi / 2, right - np.pi, right)
     return -np.where(right < -np.pi / 2, right + np.pi, right)
-
-
-def _wrapped(angle: float) -> float:
-    return float((angle + np.pi) % (2 * np.pi) - np.pi)

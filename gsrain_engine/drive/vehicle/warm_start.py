@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float64
 
+from ..angles import wrapped
+
 _JERK_PENALTY, _CURVATURE_RATE_PENALTY, _CURVATURE_PENALTY = 1e-4, 1e-2, 1e-10
 _SPEED_GAIN, _STEER_GAIN = 0.5, 0.05
 
@@ -44,7 +46,7 @@ def _fitted_curvatures(
     states: Float64[np.ndarray, "points 5"], speeds: Float64[np.ndarray, " n"], dt_s: float
 ) -> Float64[np.ndarray, " n"]:
     """Curvatures whose Euler steps at given speeds come nearest to the turns between the poses."""
-    turns = (np.diff(states[:, 2]) + np.pi) % (2 * np.pi) - np.pi
+    turns = wrapped(np.diff(states[:, 2]))
     count = len(turns)
     matrix = np.tril(np.full((count, count), dt_s**2)) * speeds[:, None]
     matrix[:, 0] = speeds * dt_s

@@ -8,7 +8,7 @@ import msgspec
 from gsrain_engine.drive.metrics.run_setting import run_setting
 from gsrain_engine.drive.metrics.summary import DriveMetrics, measured
 from gsrain_engine.drive.simulation.rollout import Rollout
-from gsrain_engine.drive.simulation.rollout_files import read_rollout
+from gsrain_engine.drive.simulation.rollout_formats import read_any_rollout
 
 from .curves import Curves, curves_of
 
@@ -54,7 +54,7 @@ def open_rollout(path: Path, *, is_own: bool = True) -> OpenedRollout:
         ValueError: For what is no roll-out, naming the file and the line.
         OSError: When the file can't be read.
     """
-    rollout = read_rollout(path)
+    rollout = read_any_rollout(path)
     beside = path.with_suffix(METRICS_SUFFIX)
     try:
         metrics = measured(rollout) if is_own else msgspec.json.decode(beside.read_bytes(), type=DriveMetrics)

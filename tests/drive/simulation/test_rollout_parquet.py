@@ -5,6 +5,8 @@ import sys
 import pytest
 from msgspec.structs import replace
 
+from gsrain_engine.drive.simulation.rollout_files import write_rollout
+from gsrain_engine.drive.simulation.rollout_formats import read_any_rollout
 from gsrain_engine.drive.simulation.rollout_parquet import read_rollout_parquet, write_rollout_parquet
 from small_rollout import approach
 
@@ -15,6 +17,16 @@ def _noted():
     run = approach(moments=20)
     first = replace(run.steps[0], notes={"seen": [1, 2.5, None], "why": "büschel"}, route_left_m=0.1 + 0.2)
     return replace(run, steps=(first, *run.steps[1:]), software={"gsrain": "1"})
+
+
+def test_files_are_told_apart_by_their_endings(tmp_path):
+    write_rollout_parquet(tmp_path / "run.parquet", _noted())
+    write_rollout(tmp_path / "run.jsonl", _noted())
+    for file in (tmp_path / "run.parquet", tmp_path / "run.jsonl"):
+        assert read_any_rollout(file) == _noted()
+    (tmp_path / "run.jsonl").rename(tmp_path / "wrong.parquet")
+    with pytest.raises(ValueError, match=r"wrong\.parquet: not a Parquet file"):
+        read_any_rollout(tmp_path / "wrong.parquet")
 
 
 def test_there_and_back(tmp_path):

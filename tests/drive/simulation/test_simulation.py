@@ -8,9 +8,10 @@ import pytest
 
 from drive.simulation.small_drive import StraightOn, box_actor, driven, in_other_units, lead, scenario, scene_with_box
 from gsrain_engine.drive.agents.agent import Needs, Plan
-from gsrain_engine.drive.simulation.drive import drive
+from gsrain_engine.drive.simulation.drive import drive, drive_through
+from gsrain_engine.drive.simulation.rollout import BACKGROUND
 from gsrain_engine.drive.simulation.rollout_files import read_rollout, write_rollout
-from gsrain_engine.drive.simulation.simulation import BACKGROUND, Simulation
+from gsrain_engine.drive.simulation.simulation import Simulation
 from gsrain_engine.drive.vehicle.state import Control
 from gsrain_engine.render.backends import open_renderer
 from gsrain_engine.scene.track import Track
@@ -57,6 +58,25 @@ def test_a_fast_vehicle_does_not_jump_over_what_stands_there(start_m):
     assert rollout.steps[-1].ego.x_m < 50
 
 
+@pytest.mark.parametrize("start_m", [0.0, 1.2, 2.4, 3.6, 4.8, 6.0])
+def test_a_fast_vehicle_does_not_jump_over_somebody_either(start_m):
+    """24 m/s are 6 m a step; 4.6 m of vehicle and half a metre of somebody leave room for that."""
+    times = np.array([0.0, 20.0])
+    places = np.array([[0.0, 0, 1.5], [200.0, 0, 1.5]])
+    far = Track(times, places, np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
+    somebody = lead(ahead_m=15.0 + start_m, size_lwh_m=[0.5, 0.5, 1.8], turned_deg=90.0)
+    rollout = driven({"speed_m_s": 24.0, "road_users": [somebody]}, replace(scene_with_box(), ego=far))
+    assert (rollout.end, rollout.steps[-1].collision) == ("collision", "lead")
+
+
+def test_who_drives_behind_as_fast_is_not_hit():
+    times = np.array([0.0, 20.0])
+    far = Track(times, np.array([[0, 0, 1.5], [200.0, 0, 1.5]]), np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
+    follower = lead(ahead_m=-5.0, speed_m_s=24.0, behaviour={"kind": "constant-velocity"})
+    fields = {"speed_m_s": 24.0, "duration_s": 1.0, "road_users": [follower]}
+    assert driven(fields, replace(scene_with_box(), ego=far)).end == "time"
+
+
 def test_the_end_of_the_route_ends_it():
     rollout = driven({"duration_s": 30}, small_scene())
     assert rollout.end == "completed"
@@ -88,8 +108,12 @@ def test_an_agent_that_gives_up_ends_it():
 def test_a_plan_that_is_none_is_refused():
     simulation = Simulation(scenario(), small_scene())
     simulation.reset()
-    with pytest.raises(ValueError, match="expected finite points"):
-        simulation.step(Plan(np.array([[1.0, 0.0], [np.nan, 0.0]])))
+    for points, words in (
+        ([[1.0, 0.0], [np.nan, 0.0]], "points that are not finite"),
+        ([[1.0, 0.0], [1e9, 0.0]], "farther than 10 km"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            simulation.step(Plan(np.array(points)))
 
 
 def test_after_its_end_nothing_moves():
@@ -98,6 +122,9 @@ def test_after_its_end_nothing_moves():
     simulation.advance(Control(0.0, 0.0))
     with pytest.raises(ValueError, match=r"the drive is over \(time\); reset it"):
         simulation.advance(Control(0.0, 0.0))
+    with pytest.raises(ValueError, match=r"the drive is over \(time\); reset it"):
+        simulation.step(None)
+    assert len(simulation.rollout("nobody").steps) == 2
     assert simulation.reset().step == 0
 
 
@@ -211,6 +238,43 @@ def test_what_a_scene_lacks_is_said(fields, words):
         Simulation(scenario(**fields), scene_with_box())
 
 
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"start_s": 6.0}, "at 6 s the drive of scene 'small' is over; it ends at 5 s"),
+        ({"start_s": float("nan")}, "at nan s the drive of scene 'small' is over"),
+        ({"ahead_m": 10.0}, "it starts where the route of scene 'small' ends"),
+    ],
+)
+def test_a_start_after_which_nothing_is_left_to_be_driven_is_refused(fields, words):
+    with pytest.raises(ValueError, match=words):
+        Simulation(scenario(**fields), small_scene())
+
+
+def test_the_seed_is_the_scenario_s_unless_another_is_given():
+    rainy = scenario(rain={"intensity_mm_h": 8.5, "seed": 5})
+    assert Simulation(rainy, small_scene()).rollout("nobody").seed == 5
+    other = Simulation(rainy, small_scene(), seed=0)
+    assert other.seed == other.rollout("nobody").scenario["rain"]["seed"] == 0
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32])
+def test_a_seed_that_there_is_not_is_refused(seed):
+    with pytest.raises(ValueError, match=r"must be within 0\.\.4294967295"):
+        Simulation(scenario(), small_scene(), seed=seed)
+
+
+def test_a_scene_without_a_rig_shows_nothing_and_says_so():
+    blind = replace(small_scene(), rigs={})
+    assert Simulation(scenario(), blind).rig.cameras == ()
+    with pytest.raises(ValueError, match="has no rig 'six', only none"):
+        Simulation(scenario(rig="six"), blind)
+    with open_renderer("cpu") as renderer:
+        for name in ("front", "all", "FRONT"):
+            with pytest.raises(ValueError, match="the scene has no rig of cameras"):
+                Simulation(scenario(), blind, Needs(cameras=(name,)), renderer)
+
+
 def test_a_scene_without_a_drive_is_refused():
     with pytest.raises(ValueError, match="has no drive to follow"):
         Simulation(scenario(), replace(small_scene(), ego=None))
@@ -225,3 +289,11 @@ def test_the_rig_is_as_high_as_the_scene_has_it():
     simulation.reset()
     assert simulation.rig_to_world[2, 3] == pytest.approx(0.0, abs=0.01)
     assert simulation.rig.height_m == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_drive_at_one_go_is_the_drive_step_by_step():
+    simulation, agent = Simulation(scenario(road_users=[lead(ahead_m=8.0)]), scene_with_box()), StraightOn()
+    for _ in drive(simulation, agent):
+        pass
+    stepwise = simulation.rollout(agent.name)
+    assert drive_through(simulation, agent) == stepwise and stepwise.end == "collision"

@@ -4,7 +4,6 @@ import datetime
 from xml.etree import ElementTree
 
 import msgspec
-import numpy as np
 from scenariogeneration import xosc
 
 from gsrain_engine.scene.scene import Scene
@@ -12,6 +11,7 @@ from gsrain_engine.scene.scene import Scene
 from ...road.ground import ground_of
 from ...road.route import recorded_route
 from ...simulation.traffic import Traffic
+from ...traffic.ego_user import ego_user
 from ...traffic.in_lane import gap_between
 from ...traffic.road_user import RoadUser
 from ..scenario import Scenario, ScenarioUser
@@ -32,7 +32,8 @@ def document_xml(scenario: Scenario, scene: Scene, road_file: str) -> str:
     """Return the document as text; `road_file` is the OpenDRIVE file that it refers to."""
     route, ground = recorded_route(scene), ground_of(scene)
     traffic = Traffic(scenario, scene, route, ground)
-    state, ego = start_state(scenario, scene, route), _ego(scenario, scene)
+    state = start_state(scenario, scene, route)
+    ego = ego_user(scenario.vehicle, state)
     started, sampled = {user.id: user for user in traffic.users}, ways(scenario, traffic, ego)
 
     entities, init = xosc.Entities(), xosc.Init()
@@ -53,13 +54,6 @@ def document_xml(scenario: Scenario, scene: Scene, road_file: str) -> str:
         if does is not None:
             board.add_maneuver(does, there.id)
     return _text(scenario, entities, board, road_file)
-
-
-def _ego(scenario: Scenario, scene: Scene) -> RoadUser:
-    state, vehicle = start_state(scenario, scene, recorded_route(scene)), scenario.vehicle
-    x, y = state.to_world(np.array([[vehicle.middle_m, 0.0]]))[0]
-    size = vehicle.length_m, vehicle.width_m, vehicle.height_m
-    return RoadUser(EGO, "car", size, float(x), float(y), state.yaw_rad, state.speed_m_s)
 
 
 def _kind(user: ScenarioUser) -> str:

@@ -7,6 +7,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from ...angles import wrapped_deg
 from ...vehicle.state import VehicleState
 from .names import LANE_M
 from .xml_file import number
@@ -79,5 +80,5 @@ def placed(path: Path, name: str, beginning: Beginning, ego_name: str, ego: Begi
 
 
 def _fields(kind: str, ahead_m: float, left_m: float, turned_rad: float) -> dict[str, Any]:
-    degrees = (float(np.degrees(turned_rad)) + 180.0) % 360.0 - 180.0
+    degrees = wrapped_deg(float(np.degrees(turned_rad)))
     return {"placed": kind, "ahead_m": ahead_m, "left_m": left_m, "turned_deg": round(degrees, 6)}

@@ -1,0 +1,28 @@
+"""Shows the shortest way to a rainy picture: opens a scene and draws it dry and at 8.5 mm/h.
+
+    python examples/01_open_and_rain.py [OUT] [SCENE]
+
+SCENE is a file or folder that `gsrain` opens (3DGS .ply, .spz, .splat, .sog, a scene folder); without it the built-in
+street.
+"""
+
+import sys
+from pathlib import Path
+
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.render.backends import open_renderer
+from gsrain_engine.render.pictures import write_picture
+from gsrain_engine.render.still import render_still
+from gsrain_engine.scene.open_scene import open_to_draw
+from gsrain_engine.session.view.home_camera import home_camera
+
+out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
+scene = open_to_draw(sys.argv[2] if len(sys.argv) > 2 else "street")
+camera = home_camera(scene, 960, 640)
+
+with open_renderer() as renderer:
+    for intensity_mm_h in (0.0, 8.5):
+        frame = render_still(renderer, scene, Rain(intensity_mm_h=intensity_mm_h), camera)
+        picture = out / f"rain_{intensity_mm_h:g}mm_h.png"
+        write_picture(picture, frame.to_uint8())
+        print(picture)

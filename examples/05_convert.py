@@ -1,0 +1,33 @@
+"""Shows what each scene format keeps: writes a scene in all that can be written, and draws what comes back.
+
+    python examples/05_convert.py [OUT] [SCENE]
+
+`gsrain convert IN OUT` does the writing; more can be read than written: .compressed.ply, .ksplat, .sog.
+"""
+
+import sys
+from pathlib import Path
+
+from gsrain_engine.evaluate.image_metrics import psnr
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.render.backends import open_renderer
+from gsrain_engine.render.still import render_still
+from gsrain_engine.scene.formats import FORMATS, read_scene, write_scene
+from gsrain_engine.scene.open_scene import open_scene
+from gsrain_engine.session.view.home_camera import home_camera
+
+out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
+scene = open_scene(sys.argv[2] if len(sys.argv) > 2 else "street")
+camera = home_camera(scene, 480, 320)
+
+with open_renderer() as renderer:
+    original = render_still(renderer, scene, Rain(), camera).over()
+    for each in FORMATS:
+        if each.write is None:
+            continue
+        file = out / f"scene{each.suffix}"
+        write_scene(scene, file)  # all layers in one file; a name without a suffix would be a scene folder
+        again = read_scene(file)
+        picture = render_still(renderer, again, Rain(), camera).over()
+        size = file.stat().st_size / again.gaussian_count
+        print(f"{file}: {size:.1f} bytes a Gaussian, {psnr(picture, original):.1f} dB")

@@ -1,0 +1,51 @@
+"""Shows how a scene takes on the look of pictures: views of it are turned to dusk, and its colours solved for that.
+
+    python examples/06_recolor.py [OUT] [SCENE]
+
+Any program may make the pictures: a diffusion model, an image editor. `gsrain transfer` writes views into a folder, and
+`gsrain recolor --images` takes a folder back; `--refine` there also moves the Gaussians, and needs torch.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
+from gsrain_engine.appearance.views.scene_views import scene_views
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.reconstruct.recoloring.recolor_scene import recolor_scene
+from gsrain_engine.reconstruct.recoloring.recolored_scene import with_colors
+from gsrain_engine.reconstruct.recoloring.settings import RecolorSettings
+from gsrain_engine.reconstruct.recoloring.views import TargetView
+from gsrain_engine.render.backends import open_renderer
+from gsrain_engine.render.pictures import write_picture
+from gsrain_engine.render.still import render_still
+from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.open_scene import open_to_draw
+from gsrain_engine.scene.progress import finished
+from gsrain_engine.session.view.home_camera import home_camera
+
+
+def dusk(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
+    """Darken a picture, its reds the most; what is bright already glows on."""
+    return (image ** np.array([2.2, 1.9, 1.5])).astype(np.float32)
+
+
+out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
+scene = open_to_draw(sys.argv[2] if len(sys.argv) > 2 else "street")
+views = scene_views(scene, chosen_cameras(scene, ViewChoice(count=8, width_px=240)))
+targets = [TargetView(view.name, view.camera, view.time_s, dusk(view.image)) for view in views]
+
+settings = RecolorSettings(iterations=8, sh_degree=1, exposure=False)  # the look has the same exposure everywhere
+recolored = finished(recolor_scene(scene, targets[:4] + targets[5:], targets[4:5], settings))
+for view in recolored.measured:
+    print(f"{view.name}, which was held out: {view.psnr_clear_db:.1f} dB before, {view.psnr_db:.1f} dB now")
+
+at_dusk = with_colors(scene, recolored.colors)  # beside the clear colours: the rain's wetness blends between them
+write_scene(at_dusk, out / "at_dusk")
+with open_renderer() as renderer:
+    for wetness in (0.0, 1.0):
+        frame = render_still(renderer, at_dusk, Rain(wetness=wetness), home_camera(scene, 480, 320))
+        write_picture(out / f"dusk_{wetness:g}.png", frame.to_uint8())

@@ -1,0 +1,62 @@
+"""Shows a driver of one's own in a closed loop, beside a shipped one: which of them stops for the car in its lane.
+
+    python examples/08_custom_agent.py [OUT] [SCENE]
+
+SCENE is a scene folder in which an ego vehicle drives, such as one that was reconstructed from a recorded drive.
+In a package of your own, `[project.entry-points."gsrain.agents"]` with `two-seconds = "my_package:open_two_seconds"`
+makes it known to `gsrain drive --agent two-seconds` and to sweeps; `open_two_seconds(options)` returns the agent.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from msgspec import structs
+
+from gsrain_engine.drive.agents.agent import SPACING_S, Needs, Plan
+from gsrain_engine.drive.agents.observation import Observation, Rig
+from gsrain_engine.drive.agents.registry import open_agent
+from gsrain_engine.drive.metrics.comparison import Run, compare
+from gsrain_engine.drive.metrics.table import results_table
+from gsrain_engine.drive.scenario.scenario import load_scenario
+from gsrain_engine.drive.simulation.drive import drive_through
+from gsrain_engine.drive.simulation.rollout_files import write_rollout
+from gsrain_engine.drive.simulation.simulation import Simulation
+from gsrain_engine.scene.open_scene import open_to_draw
+
+
+class TwoSecondsAgent:
+    """Keeps two seconds, and four metres, to whoever is ahead in its lane."""
+
+    name = "two-seconds"
+    needs = Needs()  # Needs(cameras=("front",)) has pictures drawn, in the rain, into `observation.views`
+
+    def reset(self, seed: int, rig: Rig) -> None:
+        """Begin a drive."""
+        self._front_m = rig.vehicle.middle_m + rig.vehicle.length_m / 2  # of what it drives, from the rear axle
+
+    def plan(self, observation: Observation) -> Plan:
+        """Return where to be 0.5, 1.0, ... 3.0 s from now: x forward and y left of the vehicle, in metres."""
+        others = [observation.state.from_world(user.box.corners) for user in observation.road_users]
+        gaps = [float(box[:, 0].min()) - self._front_m for box in others if np.abs(box[:, 1]).min() < 1.5]
+        gap_m = min((gap for gap in gaps if gap > 0), default=np.inf)
+        speed_m_s = min(observation.state.speed_m_s, max(gap_m - 4.0, 0.0) / 2.0)
+        way = observation.route_ahead(reach_m=60.0, step_m=0.25)  # a point every 25 cm
+        reached = speed_m_s * SPACING_S * np.arange(1, 7) / 0.25
+        return Plan(way[np.minimum(reached.round().astype(int), len(way) - 1)], {"gap_m": gap_m})
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
+scenario = load_scenario("stationary-lead")
+scenario = structs.replace(scenario, scene=sys.argv[2] if len(sys.argv) > 2 else "street")
+simulation = Simulation(scenario, open_to_draw(scenario.scene))
+out.mkdir(parents=True, exist_ok=True)
+runs: list[Run] = []
+for agent in (open_agent("constant-velocity"), TwoSecondsAgent()):
+    rollout = drive_through(simulation, agent)
+    write_rollout(out / f"{agent.name}.jsonl", rollout)  # the window plays it
+    runs.append(Run.of(rollout, simulation.occupied))
+print(results_table(compare(runs)).text)

@@ -1,0 +1,48 @@
+"""Shows many drives at once: two drivers, two intensities, two seeds, one table; needs pyarrow (`gsrain[drive]`).
+
+    python examples/09_sweep.py [OUT] [SCENE]
+
+Run again it goes on where it was stopped; with other settings only what is new is driven. SCENE is one with an ego
+vehicle, as in 08.
+"""
+
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+from gsrain_engine.drive.sweeps.expansion import jobs_of
+from gsrain_engine.drive.sweeps.jitter import Jitter
+from gsrain_engine.drive.sweeps.local_pool import LocalPool
+from gsrain_engine.drive.sweeps.run import run_sweep
+from gsrain_engine.drive.sweeps.sweep import DriveSweep
+from gsrain_engine.drive.sweeps.sweep_folder import SweepFolder
+from gsrain_engine.drive.sweeps.table import write_tables
+from gsrain_engine.scene.progress import finished
+
+
+def main(out: Path, scene: str) -> None:
+    """Drive, and put together what came of it."""
+    sweep = DriveSweep(
+        scenarios=("stationary-lead",),
+        scenes=(scene,),
+        agents=("constant-velocity", "oracle-idm"),
+        intensities_mm_h=(0.0, 8.5),
+        seeds=2,
+        jitter=Jitter(ahead_m=1.0),
+    )
+    folder, jobs = SweepFolder(out / "sweep"), jobs_of(sweep)
+    folder.describe(sweep, jobs)
+    finished(run_sweep(folder.to_do(jobs), LocalPool(), folder), lambda step: print(step.message))
+    told = write_tables(folder, sweep, jobs)
+    for cell in told["cells"]:
+        print(f"{cell['agent']} at {cell['intensity_mm_h']:g} mm/h: {cell['collisions']} of {cell['runs']} collide")
+    for error, count in told["errors"].items():
+        print(f"{count} of {told['jobs']} failed: {error}")
+    print(folder.path / "report.html")
+
+
+if __name__ == "__main__":  # workers are processes of their own, which load this file too
+    if find_spec("pyarrow") is None:
+        print("skipped: rows of sweeps take the package pyarrow (pip install 'gsrain[drive]')")
+    else:
+        main(Path(sys.argv[1] if len(sys.argv) > 1 else "out"), sys.argv[2] if len(sys.argv) > 2 else "street")

@@ -1,0 +1,180 @@
+"""Runs every example as a person would, on a small scene, and looks at what it has made."""
+
+import ast
+import csv
+import json
+import runpy
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from conftest import REPOSITORY
+from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.scene.camera_path_files import read_camera_path
+from gsrain_engine.scene.formats import read_scene, write_scene
+from gsrain_engine.scene.members import Layer
+from gsrain_engine.scene.track import Track
+from small_scene import patch, small_scene
+
+FOLDER = REPOSITORY / "examples"
+
+
+@pytest.fixture(scope="module")
+def road(tmp_path_factory):
+    """A scene folder with a road long enough to drive on: 80 m, in 8 s, a wall at its end."""
+    times = np.arange(9.0)
+    way = np.stack([10 * times, np.zeros(9), np.full(9, 1.5)], axis=1)
+    scene = replace(small_scene("road"), ego=Track(times, way, np.tile([1.0, 0, 0, 0], (9, 1)), np.ones(9, bool)))
+    ground = patch((0, -6, 0), np.array([100.0, 0, 0]), np.array([0, 12.0, 0]), 40, (0.35, 0.33, 0.30))
+    wall = patch((100, -12, 0), np.array([0, 24.0, 0]), np.array([0, 0, 9.0]), 20, (0.7, 0.45, 0.3))
+    folder = tmp_path_factory.mktemp("scene") / "road"
+    write_scene(replace(scene, layers=(Layer("road", ground), Layer("wall", wall), scene.layers[2])), folder)
+    return folder
+
+
+def picture(path):
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB")).astype(float)
+
+
+def check_open_and_rain(out, said):
+    dry, wet = picture(out / "rain_0mm_h.png"), picture(out / "rain_8.5mm_h.png")
+    assert dry.shape == (640, 960, 3) and dry.std() > 10
+    assert 0.1 < np.abs(wet - dry).mean() < 40
+
+
+def check_calibrate(out, said):
+    fitted, published = load_calibration(str(out / "calibration.yaml")), load_calibration("published")
+    assert [round(row.intensity_mm_h, 1) for row in fitted.rows] == [1.2, 4.0, 8.5, 12.0]
+    assert fitted.velocity(np.array([1.0])) == pytest.approx(published.velocity(np.array([1.0])), rel=0.01)
+    assert picture(out / "calibration.png").std() > 10
+    assert "published at 8.5 mm/h" in said and "example at 8.5 mm/h" in said
+
+
+def check_virtual_disdrometer(out, said):
+    measured = [float(line.split("asked,")[1].split("+-")[0]) for line in said.splitlines()]
+    assert measured == pytest.approx([1.2, 8.5, 12.0, 0.80, 6.59, 11.03], rel=0.01)
+    assert len(list(out.glob("*.nc"))) == 6
+
+
+def check_camera_path(out, said):
+    with av.open(str(out / "flight.mp4")) as video:
+        frames = [frame.to_ndarray(format="rgb24").astype(float) for frame in video.decode(video=0)]
+    assert len(frames) == 20 and np.abs(frames[-1] - frames[0]).mean() > 1
+    path = read_camera_path(out / "flight.json")
+    assert path.end_s == 2.0 and path.positions[2, 2] == pytest.approx(path.positions[0, 2] + 5, abs=0.01)
+
+
+def check_convert(out, said):
+    assert [read_scene(file).gaussian_count for file in sorted(out.iterdir())] == [1600 + 400 + 144] * 3
+    quality = {line.split(":")[0].rpartition(".")[2]: float(line.split()[-2]) for line in said.splitlines()}
+    assert quality["ply"] > 80 and quality["splat"] > 25 and quality["spz"] > 25
+
+
+def check_recolor(out, said):
+    assert read_scene(out / "at_dusk").has_wet_colors
+    day, dusk = picture(out / "dusk_0.png").mean(axis=(0, 1)), picture(out / "dusk_1.png").mean(axis=(0, 1))
+    assert np.all(dusk < day) and (dusk / day)[0] < (dusk / day)[2]  # red loses most
+    before, now = (float(part.split(" dB")[0].split()[-1]) for part in said.split(": ")[1].split(","))
+    assert now > before + 5
+
+
+def check_wet(out, said):
+    assert read_scene(out / "wet").has_wet_colors
+    clear, wet, rainy = (picture(out / f"{name}.png") for name in ("clear", "wet", "rainy"))
+    assert np.abs(wet - clear).mean() > 2 and np.abs(rainy - wet).mean() > 0.1
+    assert "100% Done" in said
+
+
+def check_custom_agent(out, said):
+    collided = {line.split()[1]: line.split()[3] for line in said.splitlines() if line.startswith("stationary-lead")}
+    assert collided == {"constant-velocity": "Yes", "two-seconds": "No"}
+    assert len(list(out.glob("*.jsonl"))) == 2
+
+
+def check_sweep(out, said):
+    with (out / "sweep" / "table.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 8 and {row["status"] for row in rows} == {"finished"}
+    assert "constant-velocity at 8.5 mm/h: 2 of 2 collide" in said and "oracle-idm at 8.5 mm/h: 0 of 2" in said
+
+
+def check_notebook(shown):
+    assert shown["scene"].startswith("2,144 Gaussians")
+    both = np.asarray(shown["draw"]).astype(float)
+    clear, rainy = both[:, : both.shape[1] // 2], both[:, both.shape[1] // 2 :]
+    assert clear.std() > 10 and 0.1 < np.abs(rainy - clear).mean() < 60
+    assert np.asarray(shown["alone"]).std() > 1
+    assert list(shown["contrast"]) == ["2-10 m", "10-20 m", "20-40 m", "40-80 m"]
+    assert shown["contrast"]["10-20 m"] < shown["contrast"]["2-10 m"] < 1
+
+
+CHECKS = {
+    "01_open_and_rain.py": check_open_and_rain,
+    "02_calibrate.py": check_calibrate,
+    "03_virtual_disdrometer.py": check_virtual_disdrometer,
+    "04_camera_path.py": check_camera_path,
+    "05_convert.py": check_convert,
+    "06_recolor.py": check_recolor,
+    "07_wet.py": check_wet,
+    "08_custom_agent.py": check_custom_agent,
+    "09_sweep.py": check_sweep,
+    "10_notebook.ipynb": check_notebook,
+}
+TAKE_NO_SCENE = ("02_calibrate.py", "03_virtual_disdrometer.py")
+
+
+def cells_shown(notebook: Path, **parameters: object) -> dict[str, object]:
+    """Run a notebook's cells as Jupyter does; what the last line of each shows, by the cell's id."""
+    names, shown = {}, {}
+    for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
+        if cell["cell_type"] != "code":
+            continue
+        assert not cell["outputs"] and cell["execution_count"] is None  # what is kept of a run goes stale
+        lines = ast.parse("".join(cell["source"]))
+        last = lines.body.pop() if isinstance(lines.body[-1], ast.Expr) else None
+        exec(compile(lines, cell["id"], "exec"), names)
+        if "parameters" in cell["metadata"].get("tags", ()):
+            assert parameters.keys() <= names.keys()
+            names.update(parameters)
+        if last is not None:
+            shown[cell["id"]] = eval(compile(ast.Expression(last.value), cell["id"], "eval"), names)
+    return shown
+
+
+@pytest.mark.parametrize("name", CHECKS)
+def test_an_example_does_what_it_says(name, road, tmp_path, monkeypatch, capsys):
+    if name.endswith(".ipynb"):
+        CHECKS[name](cells_shown(FOLDER / name, SCENE=str(road)))
+        return
+    if name == "09_sweep.py":
+        pytest.importorskip("pyarrow")
+    if name == "07_wet.py":
+        monkeypatch.setattr("gsrain_engine.reconstruct.wet_scene.VIEWS", 3)  # the road looks the same from all
+    scene = () if name in TAKE_NO_SCENE else (str(road),)
+    monkeypatch.setattr(sys, "argv", [name, str(tmp_path / "out"), *scene])
+    runpy.run_path(str(FOLDER / name), run_name="__main__")
+    CHECKS[name](tmp_path / "out", capsys.readouterr().out)
+
+
+def test_the_sweep_is_skipped_without_pyarrow(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr(sys, "argv", ["09_sweep.py", str(tmp_path / "out")])
+    runpy.run_path(str(FOLDER / "09_sweep.py"), run_name="__main__")
+    assert "pip install 'gsrain[drive]'" in capsys.readouterr().out and not (tmp_path / "out").exists()
+
+
+def test_every_example_is_run_and_begins_by_saying_what_it_shows():
+    there = sorted(each.name for each in FOLDER.iterdir() if each.suffix in (".py", ".ipynb"))
+    listed = (FOLDER / "README.md").read_text(encoding="utf-8")
+    assert there == list(CHECKS)
+    for name in there:
+        assert f"`{name}`" in listed
+        if name.endswith(".py"):
+            said = ast.get_docstring(ast.parse((FOLDER / name).read_text(encoding="utf-8"))) or ""
+            assert said.startswith("Shows ") and f"python examples/{name} [OUT]" in said
