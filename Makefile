@@ -6,7 +6,7 @@ VENV ?= .venv
 RUN = $(VENV)/bin
 OUT ?= out
 
-.PHONY: demo pictures test lint setup system clean
+.PHONY: demo pictures test lint wheel sbom licences bundle setup system clean
 
 demo: setup
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
@@ -27,6 +27,38 @@ lint: setup
 
 pictures: setup
 	xvfb-run --auto-servernum --server-args="-screen 0 1440x900x24" $(RUN)/python -m docs.take_pictures
+
+# A release: docs/release.md. The wheel is installed alone, where no checkout is near, and run there.
+RELEASE = $(abspath $(OUT))/release
+QUIET_PIP = --quiet --disable-pip-version-check
+
+wheel: $(RELEASE)/tools
+	rm -rf dist/*.whl $(RELEASE)/clean
+	$(RELEASE)/tools/bin/pip wheel $(QUIET_PIP) --no-deps --wheel-dir dist .
+	$(PYTHON) -m venv --without-pip $(RELEASE)/clean
+	$(RELEASE)/tools/bin/pip --python $(RELEASE)/clean install $(QUIET_PIP) -c constraints.txt dist/gsrain-*.whl
+	cd $(RELEASE) && clean/bin/gsrain --version && clean/bin/gsrain doctor
+	cd $(RELEASE) && clean/bin/gsrain render -o wheel.png --size 320x200 --rain 8.5
+
+sbom: wheel
+	$(RELEASE)/tools/bin/cyclonedx-py environment --pyproject pyproject.toml --mc-type application --output-reproducible \
+		--of JSON --output-file dist/gsrain.cdx.json $(RELEASE)/clean/bin/python
+	$(RELEASE)/clean/bin/python packaging/sbom.py dist/gsrain.cdx.json
+
+bundle: system
+	rm -rf dist/gsrain $(RELEASE)/bundle
+	$(PYTHON) -m venv $(RELEASE)/bundle
+	$(RELEASE)/bundle/bin/pip install $(QUIET_PIP) -c constraints.txt . pyinstaller
+	$(RELEASE)/bundle/bin/pyinstaller --noconfirm --log-level WARN --workpath $(RELEASE)/pyinstaller packaging/pyinstaller/gsrain.spec
+	cd $(RELEASE) && $(CURDIR)/dist/gsrain/gsrain doctor
+	cd $(RELEASE) && $(CURDIR)/dist/gsrain/gsrain render -o bundle.png --size 320x200 --rain 8.5
+
+licences: $(VENV)/.installed-jobs
+	$(RUN)/python packaging/licences.py THIRD_PARTY_LICENCES.md
+
+$(RELEASE)/tools: | system
+	$(PYTHON) -m venv $@
+	$@/bin/pip install $(QUIET_PIP) cyclonedx-bom
 
 setup: system $(VENV)/.installed
 
