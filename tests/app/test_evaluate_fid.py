@@ -53,7 +53,7 @@ def test_two_sets_are_compared_with_the_real_one(sets, tmp_path, capsys):
     assert f"FD-pixels16 of {tmp_path.name}/dark" in html
     assert "tells no difference" in html
     numbers = json.loads(file.read_text())
-    assert numbers["command"].startswith("gsrain ")
+    assert numbers["command"].startswith("gsrain")
     assert numbers["versions"]["gsrain"]
     assert set(numbers["inputs"]) == {str(folder) for folder in sets}
     assert all(each in html for each in (numbers["command"], *numbers["inputs"].values()))

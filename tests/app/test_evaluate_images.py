@@ -46,7 +46,7 @@ def test_pairs_are_measured_and_told(folders, tmp_path, capsys):
     html = page.read_text()
     assert "Every picture" in html
     assert "held-out" not in html.lower()
-    assert numbers["command"].startswith("gsrain ")
+    assert numbers["command"].startswith("gsrain")
     assert numbers["versions"]["gsrain"]
     assert len(numbers["inputs"]) == 2
     assert all(each in html for each in (numbers["command"], *numbers["inputs"].values()))
