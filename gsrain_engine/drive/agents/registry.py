@@ -3,8 +3,9 @@
 import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
 from gsrain_engine.evaluate.detection.detector_place import find_detector
 
@@ -95,8 +96,11 @@ def default_agent(options: AgentOptions) -> tuple[str, str | None]:
 _INSTEAD = "oracle-idm drives instead of camera-idm"
 
 
-def _installed(entry: EntryPoint, options: AgentOptions) -> Agent:
-    """Make an agent of another package; whatever fails in there, the sentence names the package."""
+def _installed(entry: Any, options: AgentOptions) -> Agent:
+    """Make an agent of another package; whatever fails in there, the sentence names the package.
+
+    `entry` is an EntryPoint of importlib.metadata, or of its backport where some library has put that in its place.
+    """
     package = "an installed package" if entry.dist is None else entry.dist.name
     try:
         agent = entry.load()(options)
