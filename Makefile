@@ -6,7 +6,7 @@ VENV ?= .venv
 RUN = $(VENV)/bin
 OUT ?= out
 
-.PHONY: demo pictures test lint wheel sbom licences bundle setup system clean
+.PHONY: demo docs diagrams pictures test lint wheel sbom licences bundle setup system clean
 
 demo: setup
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
@@ -27,6 +27,13 @@ lint: setup
 
 pictures: setup
 	xvfb-run --auto-servernum --server-args="-screen 0 1440x900x24" $(RUN)/python -m docs.take_pictures
+
+# The site needs no network: open out/docs/index.html, or for its search: python3 -m http.server -d out/docs.
+docs: $(VENV)/.installed-docs
+	NO_MKDOCS_2_WARNING=1 $(RUN)/python -m mkdocs build --strict --site-dir $(abspath $(OUT))/docs
+
+diagrams: setup
+	$(RUN)/python -m docs.draw_diagrams
 
 # A release: docs/release.md. The wheel is installed alone, where no checkout is near, and run there.
 RELEASE = $(abspath $(OUT))/release
@@ -66,6 +73,10 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "GSRAIN needs Python 3.11 or newer: make PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
 	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	@touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev,docs]"
 	@touch $@
 
 # Training needs torch; its own index has a build for processors that is ten times smaller than the registry's.

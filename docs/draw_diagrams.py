@@ -20,7 +20,8 @@ MERMAID = "mermaid@11.17.2"
 _FENCE = re.compile(r"^```mermaid\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _THEMES = {"light": "neutral", "dark": "dark"}
 _WAIT_MS = 20_000
-_PAGE = """<!doctype html><meta charset="utf-8"><pre id="source">{source}</pre><script src="mermaid.min.js"></script><script>
+_PAGE = """<!doctype html><meta charset="utf-8"><pre id="source">{source}</pre>
+<script src="mermaid.min.js"></script><script>
 mermaid.initialize({{startOnLoad: false, theme: "{theme}", fontFamily: "Helvetica, Arial, sans-serif",
   htmlLabels: false, flowchart: {{htmlLabels: false, wrappingWidth: 230}}}});
 mermaid.render("diagram", document.getElementById("source").textContent)

@@ -16,13 +16,16 @@ ELSEWHERE = {
     "README.md": "index.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changes.md",
+    "THIRD_PARTY_LICENCES.md": "licences.md",
     "benchmarks/README.md": "benchmarks.md",
+    "examples/README.md": "examples.md",
 }
 
 _LINK = re.compile(r"(!?\[[^\]]*\]\()([^)\s#]+)(#[^)\s]*)?\)")
 _MERMAID = re.compile(r"^```mermaid\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-_EXAMPLE = re.compile(r"^(gsrain [a-z].*)$", re.MULTILINE)
+_EXAMPLE = re.compile(r"(?<=\n\n)(gsrain [a-z].*)(?=\n\n)")
 _CONTENTS = re.compile(r"^## Table of Contents$.*?(?=^## )", re.DOTALL | re.MULTILINE)
+_LIST_BELOW_TEXT = re.compile(r"^(?![*#|> `]|\d+\. )(.+)\n(?=\* )", re.MULTILINE)
 _LISTS = re.compile(r"^\*\*Commands\*\*:\n\n(?:\* .*\n)+\n?", re.MULTILINE)
 
 log = logging.getLogger("mkdocs.hooks.site_pages")
@@ -42,7 +45,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     """Lead links to where texts are in the site, and put pictures in the place of diagrams."""
     here = page.file.src_uri
     source = next((each for each, name in ELSEWHERE.items() if name == here), f"docs/{here}")
-    return with_diagrams(with_site_links(markdown, source, here), here)
+    spaced = _LIST_BELOW_TEXT.sub(r"\1\n\n", markdown)  # GitHub needs no empty line before a list, Python-Markdown does
+    return with_diagrams(with_site_links(spaced, source, here), here)
 
 
 def with_site_links(markdown: str, source: str, page: str) -> str:
@@ -93,9 +97,9 @@ def commands_page() -> str:
     heading, usage, *rest = re.split(r"(?=^## )", text, maxsplit=1, flags=re.MULTILINE)[0].split("\n\n", 2)
     body = re.split(r"(?=^## )", text, maxsplit=1, flags=re.MULTILINE)[1]
     how = (
-        "What `gsrain COMMAND --help` says, made from the program when this site was built. Every command prints what it "
-        "wrote; `--json FILE` keeps the numbers that it reports; bad input ends with exit code 2 and one line, Ctrl-C "
-        "with 130."
+        "What `gsrain COMMAND --help` says, made from the program when this site was built. Every command prints what "
+        "it wrote; `--json FILE` keeps the numbers that it reports; bad input ends with exit code 2 and one line, "
+        "Ctrl-C with 130."
     )
     parts = [heading, how, usage, *rest]
     return "\n\n".join(part.strip() for part in parts) + "\n\n" + _EXAMPLE.sub(r"    \1", body)
