@@ -34,6 +34,7 @@ from .outputs import check_writable
 from .progress import progress_bar
 
 DEFAULT_SCENARIO = "stationary-lead"
+_LONGEST_S = 600.0
 
 
 def drive(
@@ -108,7 +109,12 @@ def drive(
         facts = run_facts({"scene": hashed})
         written = write_drives(files, runs, opened, renderer if films else None, told_facts(facts))
     print(results_table(compare(runs)).text)
-    print(f"{folder}: {', '.join(written)}")
+    if len(rains) > 1:
+        for name in [agent.name for agent in agents if not agent.needs.cameras]:
+            print(f"{name} looks at no picture: rain changes nothing for it.")
+    print(f"{folder}:")
+    for name in written:
+        print(f"  {name}")
     rows = [msgspec.to_builtins(run.metrics) for run in runs]
     write_numbers(json, {**rows[0], "rows": rows} if len(rows) == 1 else {"rows": rows})
     if problem is not None:
@@ -119,10 +125,13 @@ def _drive(simulation: Simulation, agent: Agent) -> str | None:
     """Let an agent drive; returns why it could not go on, if that is so."""
     scenario = simulation.scenario
     title = f"{scenario.rain.intensity_mm_h:g} mm/h, {agent.name}"
-    with progress_bar(title, round(scenario.duration_s / scenario.step_s)) as advance:
+    longest, made = round(scenario.duration_s / scenario.step_s), 0
+    with progress_bar(title, longest) as advance:
         try:
             for _ in driving.drive(simulation, agent):
+                made += 1
                 advance()
+            advance(longest - made)  # it ended before its time
         except ClientError as error:
             return str(error)
         except ValueError as error:
@@ -145,6 +154,10 @@ def _run(simulation: Simulation, agent: Agent, hashed: str) -> Run:
 def _as_asked(
     scenario: Scenario, scene: str | None, rig: str | None, width: int | None, duration: float | None
 ) -> Scenario:
+    if duration is not None and not 0 < duration <= _LONGEST_S:
+        raise ValueError(f"--duration {duration:g}: must be above 0 and at most {_LONGEST_S:g} s")
+    if width is not None and not (64 <= width <= 4096 and width % 2 == 0):
+        raise ValueError(f"--width {width}: must be even and within 64..4096 px")
     asked = {"scene": scene, "rig": rig, "picture_width_px": width, "duration_s": duration}
     values = msgspec.to_builtins(scenario) | {name: value for name, value in asked.items() if value is not None}
     return msgspec.convert(values, Scenario)

@@ -82,8 +82,8 @@ def write_drives(
     for path, figure in figures.items():
         write_figure(path, figure)
     write_report(files.folder / "report.html", drive_report(runs, {scene.name: recorded_route(scene)}, settings))
-    written += [files.folder / "table.md", files.folder / "table.csv", *figures, files.folder / "report.html"]
-    return [path.name for path in written]
+    told = [files.folder / "report.html", files.folder / "table.md", files.folder / "table.csv", *figures]
+    return [path.name for path in (*told, *written)]
 
 
 def _write_run(files: DriveFiles, run: Run, scene: Scene, renderer: Renderer | None) -> list[Path]:
@@ -95,6 +95,8 @@ def _write_run(files: DriveFiles, run: Run, scene: Scene, renderer: Renderer | N
     for kind in sorted(files.exports):
         _EXPORTERS[kind](files.of(run, f".{kind}"), rollout, scene)
         written.append(files.of(run, f".{kind}"))
+    if "xosc" in files.exports:  # its road, which it names
+        written.append(files.of(run, ".xodr"))
     if renderer is not None:
         film = files.of(run, ".mp4")
         _film(film, DriveVideo(PlayedRollout(rollout, scene), renderer), files.fps)

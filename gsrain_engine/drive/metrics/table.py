@@ -106,7 +106,7 @@ def _definitions(comparisons: Sequence[Comparison], has_seeds: bool) -> tuple[st
         "S (planned): share of frames whose plan keeps all comfort limits (HUGSIM: acceleration -4.05..2.40 m/s2, jerk "
         "8.37 m/s3, yaw rate 0.95 rad/s, yaw acceleration 1.93 rad/s2; the lateral one is never felt).",
         "S (executed): share of driven steps that keep them, with 4.89 m/s2 to the side.",
-        f"{seeds}{NOT_SAID}: not said after a collision, as in the paper; the numbers are in the JSON.",
+        f"{seeds}{NOT_SAID}: not said after a collision, as in the paper; the numbers are in the CSV and JSON files.",
     )
 
 

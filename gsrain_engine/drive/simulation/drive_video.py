@@ -20,6 +20,7 @@ from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.scene.camera import Camera
 
 from ..agents.agent import Needs
+from ..metrics.time_to_collision import LONGEST_S, gaps_m, times_to_collision_s
 from ..road.ground import ground_of
 from ..road.occupied_space import occupied_space_of
 from ..road.planar_box import PlanarBox
@@ -36,8 +37,9 @@ _EGO, _PLAN, _USER, _HIT = (86, 180, 233), (0, 214, 160), (230, 159, 0), (255, 7
 """Told apart with any colour vision (Okabe and Ito 2008)."""
 _BEHIND_M, _AHEAD_M, _ACROSS_M = 12.0, 68.0, 14.0
 """What is shown from above: so far behind the ego vehicle, ahead of it, and across in all."""
-_COLUMNS, _END = (0.015, 0.14, 0.36, 0.47, 0.6, 0.74), 5
-"""Where the figures of the moment stand, in shares of the width; the last is how the drive has ended."""
+_COLUMNS, _END = (0.015, 0.14, 0.36, 0.46, 0.57, 0.7, 0.86), 5
+"""Where the figures of the moment stand, in shares of the width; from the sixth on, in the end, how the drive ended."""
+_ENDS = {"time": "time is up", "completed": "end of the route", "agent": "the agent gave up"}
 _NEAR_M = 0.3
 _DOT_M = 0.14
 _SURE = 0.3
@@ -100,16 +102,20 @@ class DriveVideo:
         """Write figures of the moment."""
         played, step = self._played, self._played.step(time_s)
         state = played.state(time_s)
+        at = step.step - played.rollout.steps[0].step
+        gap, ttc = float(self._gaps_m[at]), float(self._times_s[at])
         words = [
             f"{played.scenario.rain.intensity_mm_h:g} mm/h",
             played.rollout.agent,
             f"{time_s:5.2f} s",
             f"{state.speed_m_s:4.1f} m/s",
             f"{round(step.ego.acceleration_m_s2, 1) + 0.0:+.1f} m/s\u00b2",
+            f"gap {gap:.1f} m" if np.isfinite(gap) else "nobody ahead",
+            f"TTC {ttc:.1f} s" if ttc < LONGEST_S else "",
         ]
         if time_s >= played.end_s - 1e-9:
             hit = played.rollout.steps[-1].collision
-            words.append(played.rollout.end if hit is None else f"collision: {hit}")
+            words[_END:] = [_ENDS.get(played.rollout.end, played.rollout.end) if hit is None else f"collision: {hit}"]
         size = max(11, round(width / 52))
         strip = Image.new("RGB", (width, round(2.1 * size)), _PAPER)
         draw = ImageDraw.Draw(strip)
@@ -131,6 +137,14 @@ class DriveVideo:
             plan.dots(played.state(step.time_s).to_world(np.array(step.plan)), _PLAN, 0.45)
         plan.scale_bar()
         return plan.picture
+
+    @cached_property
+    def _gaps_m(self) -> Float64[np.ndarray, " n"]:
+        return gaps_m(self._played.rollout)
+
+    @cached_property
+    def _times_s(self) -> Float64[np.ndarray, " n"]:
+        return times_to_collision_s(self._played.rollout)
 
     @cached_property
     def _route(self) -> Float64[np.ndarray, "n 2"]:
