@@ -25,8 +25,8 @@ class DriverOptions:
     agent: Annotated[
         list[str] | None,
         Parameter(
-            help="Who drives: constant-velocity, oracle-idm, camera-idm, neuroncap-baseline, http, hugsim, or one of an "
-            "installed package (entry points gsrain.agents); may be given several times. Default: camera-idm where a "
+            help="Who drives: constant-velocity, oracle-idm, camera-idm, neuroncap-baseline, http, hugsim, or one of "
+            "an installed package (entry points gsrain.agents); may be given several times. Default: camera-idm where a "
             "detector is found, else oracle-idm.",
             negative="",
         ),
