@@ -26,8 +26,8 @@ class DriverOptions:
         list[str] | None,
         Parameter(
             help="Who drives: constant-velocity, oracle-idm, camera-idm, neuroncap-baseline, http, hugsim, or one of "
-            "an installed package (entry points gsrain.agents); may be given several times. Default: camera-idm where a "
-            "detector is found, else oracle-idm.",
+            "an installed package (entry points gsrain.agents); may be given several times. "
+            "Default: camera-idm where a detector is found, else oracle-idm.",
             negative="",
         ),
     ] = None
