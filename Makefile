@@ -17,7 +17,7 @@ demo: setup
 	fi
 
 test: setup $(VENV)/.installed-jobs lint
-	$(RUN)/python -m pytest --numprocesses=2 --dist=loadfile
+	$(RUN)/python -m pytest --numprocesses=2 --dist=loadfile --max-worker-restart=0
 
 lint: setup
 	$(RUN)/ruff check .
