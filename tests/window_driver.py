@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 from multiprocessing.connection import wait
 
 import numpy as np
@@ -44,7 +45,11 @@ class Driver:
             self.frames(3)
             script()
 
-        testing.run(test_function=act, runner_params=parameters)
+        try:
+            testing.run(test_function=act, runner_params=parameters)
+        finally:
+            # The test engine takes all signals of a crash, and a closed pipe for one: what Python does is set again.
+            signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
     @property
     def view(self):
