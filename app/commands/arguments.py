@@ -2,13 +2,21 @@
 
 import json
 import re
+import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO
 
 from cyclopts import Parameter
 
 JsonFile = Annotated[Path | None, Parameter(name="--json", help="Write the reported numbers to this file.")]
+
+JsonFileOrScreen = Annotated[
+    Path | None,
+    Parameter(name="--json", help="Write the numbers to this file; - prints them.", allow_leading_hyphen=True),
+]
+SCREEN = Path("-")
+"""In the place of a file: standard output."""
 
 _SIZE = re.compile(r"(\d+)x(\d+)")
 
@@ -23,7 +31,14 @@ def parse_size(text: str, option: str = "--size") -> tuple[int, int]:
 
 
 def write_numbers(file: Path | None, numbers: Mapping[str, Any]) -> None:
-    """Write what a command reports as JSON, if it was asked to."""
-    if file is not None:
+    """Write what a command reports as JSON, if it was asked to; `SCREEN` prints it."""
+    if file == SCREEN:
+        print(json.dumps(numbers, indent=1))
+    elif file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+
+
+def words_go_to(file: Path | None) -> TextIO:
+    """Return where tables for people go: standard output, unless that is for the numbers."""
+    return sys.stderr if file == SCREEN else sys.stdout

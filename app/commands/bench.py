@@ -1,12 +1,9 @@
 """`gsrain bench`: how fast this machine is."""
 
-import json as json_text
 import re
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import asdict
-from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import msgspec
@@ -28,12 +25,11 @@ from gsrain_engine.scene.random_scene import is_random_scene, random_scene, rand
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.view.home_camera import default_path
 
-from .arguments import parse_size, write_numbers
+from .arguments import JsonFileOrScreen, parse_size, words_go_to, write_numbers
 from .progress import progress_bar
 
 _SCENES = "random-50k,random-100k,random-200k,random-400k,random-800k,random-1m,random-3m,street"
 _START_S = 1.0
-_SCREEN = Path("-")
 _COLUMNS = 120  # of the table, also where output goes into a file
 
 
@@ -49,10 +45,7 @@ def render(
     sizes: Annotated[str, Parameter(help="WIDTHxHEIGHT,... in pixels.")] = "960x640",
     rain: Annotated[str, Parameter(help="Intensities in mm/h of the preset paper; 0 is clear.")] = "0,8.5",
     frames: Annotated[int, Parameter(help="Frames that are timed, after two that are not.")] = 20,
-    json: Annotated[
-        Path | None,
-        Parameter(name="--json", help="Write the numbers to this file; - prints them.", allow_leading_hyphen=True),
-    ] = None,
+    json: JsonFileOrScreen = None,
 ) -> None:
     """Time frames of fixed scenes: make the rain, draw, fetch the picture. Medians, by back end, size and rain."""
     if not 1 <= frames <= 10_000:
@@ -72,11 +65,8 @@ def render(
                     rows += time_frames(renderer, sequences, frames)
                     advance()
     numbers = _report(rows) | {"machine": machine() | {"devices": devices}}
-    _print(rows, numbers, Console(file=sys.stderr if json == _SCREEN else sys.stdout, width=_COLUMNS))
-    if json == _SCREEN:
-        print(json_text.dumps(numbers, indent=1))
-    else:
-        write_numbers(json, numbers)
+    _print(rows, numbers, Console(file=words_go_to(json), width=_COLUMNS))
+    write_numbers(json, numbers)
 
 
 def _listed(option: str, text: str) -> list[str]:

@@ -5,6 +5,8 @@ from pathlib import Path
 
 from gsrain_engine.scene.formats.scene_files import names_scene_folder
 
+from .arguments import SCREEN
+
 
 def check_scene_folder(output: Path) -> None:
     """Raise ValueError where a scene folder can't be written: the name of a file, a folder with other things in it."""
@@ -17,9 +19,9 @@ def check_scene_folder(output: Path) -> None:
 
 
 def check_writable(*paths: Path | None) -> None:
-    """Raise ValueError for the first place at which nothing can be written; None is passed by."""
+    """Raise ValueError for the first place at which nothing can be written; None and `SCREEN` are passed by."""
     for path in paths:
-        if path is None:
+        if path is None or path == SCREEN:
             continue
         there = next(each for each in (path.absolute().parent, *path.absolute().parents) if each.exists())
         if not there.is_dir():

@@ -1,6 +1,5 @@
 """`gsrain evaluate consistency`: whether neighbouring views still agree after a transfer."""
 
-import json as json_text
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +18,7 @@ from gsrain_engine.evaluate.consistency.sheet import ShownPair, consistency_shee
 from gsrain_engine.evaluate.report.run_report import write_report
 from gsrain_engine.scene.content_hash import file_hash
 
-from ..arguments import write_numbers
+from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar
 from .consistency_numbers import print_agreements, report_of
@@ -27,7 +26,6 @@ from .consistency_page import consistency_page
 from .perceived import perceived_distance
 from .run_facts import run_facts, write_beside
 
-_SCREEN = Path("-")
 _COLUMNS = 150
 _Pairs = list[tuple[int, int]]
 
@@ -53,10 +51,7 @@ def consistency(
     report: Annotated[
         Path | None, Parameter(help="Also write a page of HTML with that picture, and the numbers as JSON beside it.")
     ] = None,
-    json: Annotated[
-        Path | None,
-        Parameter(name="--json", help="Write the numbers to this file; - prints them.", allow_leading_hyphen=True),
-    ] = None,
+    json: JsonFileOrScreen = None,
 ) -> None:
     """Warp neighbouring views onto each other by their depth, and compare: before a transfer, and after it.
 
@@ -65,7 +60,7 @@ def consistency(
     square over matched pixels, in levels of 255; "per contrast" divides each by its picture's contrast.
     """
     _check(folders, neighbours, film, sheet_pairs)
-    check_writable(sheet, report, None if json == _SCREEN else json)
+    check_writable(sheet, report, json)
     compared = [open_compared(folder, width) for folder in folders]
     pairs = compared[0].chosen(neighbours)
     if not pairs:
@@ -82,7 +77,7 @@ def consistency(
             if not rows:
                 raise ValueError(f"{each.folder}: neighbouring views match in too few pixels to be compared")
             results.append(rows)
-    print_agreements(compared, results, Console(file=sys.stderr if json == _SCREEN else sys.stdout, width=_COLUMNS))
+    print_agreements(compared, results, Console(file=words_go_to(json), width=_COLUMNS))
     numbers = report_of(compared, results, film) | run_facts(_inputs(folders, lpips), ("torch",))
     if sheet is not None or report is not None:
         drawn = _drawn(compared, own_pairs, film, sheet_pairs)
@@ -93,10 +88,7 @@ def consistency(
             write_report(report, consistency_page(numbers, drawn, {"neighbours": neighbours, "LPIPS": lpips or "-"}))
             beside = write_beside(report, json, numbers)
             print(f"wrote {report}" + (f", {beside}" if beside else ""), file=sys.stderr)
-    if json == _SCREEN:
-        print(json_text.dumps(numbers, indent=1))
-    else:
-        write_numbers(json, numbers)
+    write_numbers(json, numbers)
 
 
 def _inputs(folders: Sequence[Path], lpips: str | None) -> dict[str, str]:

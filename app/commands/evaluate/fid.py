@@ -1,6 +1,5 @@
 """`gsrain evaluate fid`: how far made pictures are from real ones as distributions, and how sure that is."""
 
-import json as json_text
 import logging
 import sys
 from collections.abc import Sequence
@@ -21,12 +20,11 @@ from gsrain_engine.evaluate.distribution.extractors import EXTRACTORS, open_extr
 from gsrain_engine.evaluate.distribution.feature_cache import FeatureCache
 from gsrain_engine.evaluate.report.run_report import ReportTable, RunReport, write_report
 
-from ..arguments import write_numbers
+from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar
 from .run_facts import run_facts, set_hash, told_facts, write_beside
 
-_SCREEN = Path("-")
 _COLUMNS = 200
 _LEAST_RESAMPLES, _MOST_RESAMPLES = 20, 10_000
 _RESAMPLES, _MANY, _LEAST_DEFAULT = 200, 500, 40  # of many pictures each takes seconds, and the values vary less
@@ -67,10 +65,7 @@ def fid(
     report: Annotated[
         Path | None, Parameter(help="Also write a page of HTML, with the numbers as JSON beside it.")
     ] = None,
-    json: Annotated[
-        Path | None,
-        Parameter(name="--json", help="Write the numbers to this file; - prints them.", allow_leading_hyphen=True),
-    ] = None,
+    json: JsonFileOrScreen = None,
 ) -> None:
     """Compare sets of pictures as distributions: FID with KID beside it, both with intervals of 95 %.
 
@@ -79,7 +74,7 @@ def fid(
     """
     names = [name.strip() for name in extractor.split(",")]
     _check(names, weights, resamples)
-    check_writable(report, None if json == _SCREEN else json)
+    check_writable(report, json)
     kept = FeatureCache() if cache else None
     extractors = [
         _extractor(ExtractorChoice(name=name, weights=weights, device=device, allows_torchscript=torchscript))
@@ -90,14 +85,11 @@ def fid(
     times = resamples or max(_RESAMPLES * _MANY // max(most, _MANY), _LEAST_DEFAULT)
     hashes: dict[str, str] = {}
     rows = [row for each in extractors for row in _rows(each, sets, kept, times, seed, hashes)]
-    _print(rows, Console(file=sys.stderr if json == _SCREEN else sys.stdout, width=_COLUMNS, highlight=False))
+    _print(rows, Console(file=words_go_to(json), width=_COLUMNS, highlight=False))
     settings = {"resamples": times, "seed": seed, "confidence": CONFIDENCE}
     facts = run_facts(hashes, ("torch", "onnxruntime"))
     numbers = {**settings, **facts, "rows": [_numbers(row) for row in rows]}
-    if json == _SCREEN:
-        print(json_text.dumps(numbers, indent=1))
-    else:
-        write_numbers(json, numbers)
+    write_numbers(json, numbers)
     if report is not None:
         write_report(report, _page(rows, {**settings, **told_facts(facts)}))
         beside = write_beside(report, json, numbers)

@@ -1,6 +1,5 @@
 """`gsrain evaluate images`: PSNR, SSIM and LPIPS of pictures and those of the same names that they should be."""
 
-import json as json_text
 import math
 import sys
 from collections.abc import Sequence
@@ -24,13 +23,12 @@ from gsrain_engine.evaluate.mean_interval import MeanInterval, mean_interval
 from gsrain_engine.evaluate.report.comparison import Comparison, Distance
 from gsrain_engine.evaluate.report.run_report import RunReport, write_report
 
-from ..arguments import write_numbers
+from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar
 from .perceived import perceived_distance
 from .run_facts import run_facts, set_hash, told_facts, write_beside
 
-_SCREEN = Path("-")
 _COLUMNS = 120
 _MOST_ROWS = 40
 
@@ -53,16 +51,13 @@ def images(
     report: Annotated[
         Path | None, Parameter(help="Also write a page of HTML with the pictures, and the numbers as JSON beside it.")
     ] = None,
-    json: Annotated[
-        Path | None,
-        Parameter(name="--json", help="Write the numbers to this file; - prints them.", allow_leading_hyphen=True),
-    ] = None,
+    json: JsonFileOrScreen = None,
 ) -> None:
     """Measure how close pictures are to those of the same names: PSNR, SSIM and LPIPS, each with its mean and interval.
 
     PSNR in dB and SSIM (at most 1) are higher for closer pictures, LPIPS (0 for equal ones) is lower.
     """
-    check_writable(report, None if json == _SCREEN else json)
+    check_writable(report, json)
     first, second = open_capture(shown), open_capture(truth)
     others = {view.name: view for view in second}
     pairs = [(view, others[view.name]) for view in first if view.name in others]
@@ -81,16 +76,13 @@ def images(
             advance()
     left_out = len(first) + len(second) - 2 * len(pairs)
     means = {name: mean_interval(values, seed) for name, values in _columns(rows).items()}
-    _print(rows, means, Console(file=sys.stderr if json == _SCREEN else sys.stdout, width=_COLUMNS, highlight=False))
+    _print(rows, means, Console(file=words_go_to(json), width=_COLUMNS, highlight=False))
     if left_out:
         print(f"{left_out} pictures have no other of their name, and are left out", file=sys.stderr)
     settings = {"pictures": str(shown), "truth": str(truth), "lpips": lpips, "seed": seed, "left_out": left_out}
     facts = run_facts(_inputs(hashes, shown, truth, masks), ("scikit-image", "torch"))
     numbers = {**settings, **facts, "means": _means(means), "rows": _numbers(rows, shares)}
-    if json == _SCREEN:
-        print(json_text.dumps(numbers, indent=1))
-    else:
-        write_numbers(json, numbers)
+    write_numbers(json, numbers)
     if report is not None:
         told = {**settings, **told_facts(facts)}
         write_report(

@@ -1,8 +1,6 @@
 """`gsrain evaluate lidar`: what a lidar measures in the rain that the cameras see."""
 
-import json as json_text
 import re
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
@@ -20,7 +18,7 @@ from gsrain_engine.evaluate.lidar.sweep_in_rain import Answer
 from gsrain_engine.evaluate.lidar.turns import Turn, capture_turns, scene_turns
 from gsrain_engine.scene.content_hash import file_hash, scene_hash
 
-from ..arguments import write_numbers
+from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar
 from ..sources import names_scene
@@ -28,7 +26,6 @@ from .lidar_numbers import lidar_report, print_lidar, write_lidar_table
 from .lidar_page import write_lidar_page
 from .run_facts import run_facts
 
-_SCREEN = Path("-")
 _COLUMNS = 130
 _MOST_SEEDS, _MOST_SWEEPS = 1000, 1000
 
@@ -64,10 +61,7 @@ def lidar(
     ] = None,
     reflectance: Annotated[float, Parameter(help="Near-infrared reflectance of all things in a scene.")] = 0.2,
     write_sweeps: Annotated[bool, Parameter(help="Write each sweep in rain (.npz).")] = True,
-    json: Annotated[
-        Path | None,
-        Parameter(name="--json", help="Write the numbers to this file; - prints them.", allow_leading_hyphen=True),
-    ] = None,
+    json: JsonFileOrScreen = None,
 ) -> None:
     """Rain on a lidar: returns kept, lost and made up, by range, over intensities and seeds.
 
@@ -81,7 +75,7 @@ def lidar(
     for name, value, most in (("--reflectance", reflectance, 1.0), ("--full-intensity", full_intensity, 1e6)):
         if value is not None and not 0 < value <= most:
             raise ValueError(f"{name} {value:g}: must be within 0..{most:g}")
-    check_writable(output / "lidar.png", None if json == _SCREEN else json)
+    check_writable(output / "lidar.png", json)
     chosen = _sensor(sensor, range_10, least_reflectance)
     count, turns = _turns(source, chosen, sweeps, reflectance, full_intensity, told_range=range_10 is None)
     by_intensity: dict[float, list[RunCounts]] = {}
@@ -104,14 +98,11 @@ def lidar(
     write_lidar_table(output / "lidar.csv", report["rows"])
     write_numbers(output / "lidar.json", report)
     write_lidar_page(output / "report.html", output / "lidar.png", by_intensity, report)
-    console = Console(file=sys.stderr if json == _SCREEN else sys.stdout, width=_COLUMNS, highlight=False)
+    console = Console(file=words_go_to(json), width=_COLUMNS, highlight=False)
     print_lidar(by_intensity, shown.turn.sensor, console)
     what = "lidar.png, lidar.csv, lidar.json, report.html" + (", sweeps/" if write_sweeps else "")
     console.print(f"wrote {output}: {what}", soft_wrap=True)
-    if json == _SCREEN:
-        print(json_text.dumps(report, indent=1))
-    else:
-        write_numbers(json, report)
+    write_numbers(json, report)
 
 
 def _inputs(source: str, sensor: str) -> dict[str, str]:

@@ -1,10 +1,8 @@
 """`gsrain evaluate`: how close what we make is to what cameras see."""
 
-import json as json_text
 import logging
 import math
 import re
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -20,11 +18,10 @@ from gsrain_engine.evaluate.real_rain import Comparison, Measured, above_horizon
 from gsrain_engine.evaluate.streak_statistics import ANGLE_EDGES_DEG, LENGTH_EDGES_PX
 from gsrain_engine.rain.rain import Rain
 
-from ..arguments import write_numbers
+from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..progress import progress_bar
 
 _LEAST_FRAMES, _MOST_FRAMES = 5, 200
-_SCREEN = Path("-")
 _COLUMNS = 130
 _log = logging.getLogger(__name__)
 
@@ -49,10 +46,7 @@ def streaks(
         float, Parameter(help="Our lens opening in mm; drops nearer than its focus, 10 m, blur with it. 0: all sharp.")
     ] = 0.0,
     seed: Annotated[int, Parameter(help="Same seed, same drops.")] = 0,
-    json: Annotated[
-        Path | None,
-        Parameter(name="--json", help="Write the numbers to this file; - prints them.", allow_leading_hyphen=True),
-    ] = None,
+    json: JsonFileOrScreen = None,
 ) -> None:
     """Measure rain streaks in the frames of a still camera, and in our rain before the same background."""
     if not _LEAST_FRAMES <= frames <= _MOST_FRAMES:
@@ -70,11 +64,8 @@ def streaks(
             rows.append(compare(sequence, ours, exposures, numbers, part or above_horizon(sequence)))
             advance()
     report = _report(rows, frames=frames, **knobs)
-    _print(rows, Console(file=sys.stderr if json == _SCREEN else sys.stdout, width=_COLUMNS))
-    if json == _SCREEN:
-        print(json_text.dumps(report, indent=1))
-    else:
-        write_numbers(json, report)
+    _print(rows, Console(file=words_go_to(json), width=_COLUMNS))
+    write_numbers(json, report)
 
 
 def _exposures(text: str) -> list[float]:

@@ -28,14 +28,13 @@ from gsrain_engine.scene.content_hash import scene_hash
 from gsrain_engine.session.jobs.torch_extra import require_torch
 from gsrain_engine.shipped_configs import shipped_names
 
-from ..arguments import write_numbers
+from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..outputs import check_writable
 from ..progress import followed
 from ..sources import names_scene
 from .run_facts import run_facts, told_facts
 from .transfers_page import print_transfers, transfers_page
 
-_SCREEN = Path("-")
 _COLUMNS = 160
 
 
@@ -50,10 +49,7 @@ def transfers(
     ],
     only: Annotated[str, Parameter(help="Only these of its methods, by name, commas between.")] = "",
     device: Annotated[Literal["cpu", "cuda"], Parameter(help="Where torch computes features.")] = "cpu",
-    json: Annotated[
-        Path | None,
-        Parameter(name="--json", help="Also write the numbers to this file; - prints them.", allow_leading_hyphen=True),
-    ] = None,
+    json: JsonFileOrScreen = None,
 ) -> None:
     """Make the same views rainy by several methods, and compare each with real rainy pictures.
 
@@ -63,7 +59,7 @@ def transfers(
     told = load_comparison(comparison)
     names = tuple(name.strip() for name in only.split(",") if name.strip())
     told = told.only(names) if names else told
-    check_writable(output / "table.md", None if json == _SCREEN else json)
+    check_writable(output / "table.md", json)
     for each in told.methods:
         if each.method != CLEAR and method_of(each.method).needs_torch:
             require_torch(f"method {each.name!r}")
@@ -73,14 +69,9 @@ def transfers(
     result = followed(run_comparison(told, source, real, extractor, FeatureCache(), output))
     numbers = _numbers(comparison, told, source, real, result)
     _write(output, numbers, result, told, source, real)
-    print_transfers(
-        result, Console(file=sys.stderr if json == _SCREEN else sys.stdout, width=_COLUMNS, highlight=False)
-    )
+    print_transfers(result, Console(file=words_go_to(json), width=_COLUMNS, highlight=False))
     print(f"wrote {output}: table.md, table.csv, table.json, figure.png, report.html", file=sys.stderr)
-    if json == _SCREEN:
-        print(json_text.dumps(numbers, indent=1))
-    else:
-        write_numbers(json, numbers)
+    write_numbers(json, numbers)
 
 
 def _extractor(choice: ExtractorChoice) -> Extractor:
