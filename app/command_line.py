@@ -2,20 +2,29 @@
 
 import logging
 import sys
+from difflib import get_close_matches
 from importlib import metadata
+from pathlib import Path
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, Parameter
 from rich.console import Console
 
+from gsrain_engine.scene.errors import sentence_of
+
+from .commands.arguments import finite
 from .commands.view import view
+from .installed_evaluations import add_installed_evaluations
 
 BAD_INPUT, INTERRUPTED = 2, 130
+_OURS = ("gsrain", "gsrain_engine", "app")
+"""Loggers whose news the command line passes on."""
 
 app = App(
     name="gsrain",
     help="Calibrated rain in captured 3D Gaussian Splatting scenes. Without a command: open the window.",
     version=metadata.version("gsrain"),
     help_format="plaintext",
+    default_parameter=Parameter(validator=finite),
 )
 app.default(view)
 # Named, not imported: each loads what it needs when it runs, so that the window stands at once.
@@ -38,7 +47,9 @@ for name, summary in COMMANDS.items():
     function = name.replace("-", "_")
     app.command(f"app.commands.{function}:{function}", name=name, help=summary)
 benchmarks = App(name="bench", help="Time this machine.")
-benchmarks.command("app.commands.bench:render", name="render", help="Time frames of fixed scenes.")
+benchmarks.command("app.commands.bench:render", name="render", help="Time frames of fixed scenes, in rain and without.")
+benchmarks.command("app.commands.bench_loading:loading", name="loading", help="Time writing and reading scenes.")
+benchmarks.command("app.commands.bench_recoloring:recoloring", name="recoloring", help="Time recolouring scenes.")
 app.command(benchmarks)
 _CONSISTENCY = """Whether neighbouring views agree with each other, before a transfer and after it.
 
@@ -89,25 +100,43 @@ evaluations.command(
 evaluations.command(
     "app.commands.evaluate.lidar:lidar", name="lidar", help="A lidar in rain: returns kept, lost and made up, by range."
 )
+_OUR_EVALUATIONS = frozenset(evaluations)
 app.command(evaluations)
 
 
 def run(arguments: list[str]) -> int:
     """Run one command; returns the exit code."""
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
+    for name in _OURS:  # libraries say what is of use to their makers: which fonts they have found, say
+        logging.getLogger(name).setLevel(logging.INFO)
     errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+    if (meant := _misspelt(arguments)) is not None:
+        errors.print(f"gsrain: {meant}")
+        return BAD_INPUT
+    if arguments[:1] == ["evaluate"]:
+        add_installed_evaluations(evaluations, _OUR_EVALUATIONS, arguments[1:])
     try:
         code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
         errors.print(f"gsrain: {_one_line(str(error))}")
         return BAD_INPUT
     except (ValueError, OSError, MemoryError) as error:
-        errors.print(f"gsrain: {_one_line(str(error))}")
+        errors.print(f"gsrain: {_one_line(sentence_of(error))}")
         return BAD_INPUT
     except KeyboardInterrupt:
         errors.print("gsrain: stopped")
         return INTERRUPTED
     return code if isinstance(code, int) else 0
+
+
+def _misspelt(arguments: list[str]) -> str | None:
+    """Say which command is meant by a first word that is none, and no scene either; else nothing."""
+    word = arguments[0] if arguments else ""
+    names = [name for name in app if not name.startswith("-")]
+    like = get_close_matches(word, names, 1)
+    if not like or word in names or word.startswith("-") or Path(word).exists():
+        return None
+    return f"{word}: no such command, and no such scene; did you mean gsrain {like[0]}?"
 
 
 def _one_line(message: str) -> str:

@@ -13,16 +13,22 @@ from gsrain_engine.session.files.places import config_folder, state_folder
 
 
 @contextmanager
-def own_layout() -> Generator[Path]:
+def own_layout() -> Generator[Path | None]:
     """Give a file to keep the layout in while the window is open; it becomes the next window's when the block ends.
 
     Several windows never write to the same file, and what one of them leaves behind is whole. A disk that refuses
-    costs the layout, nothing else.
+    costs the layout, nothing else: where it takes no file there is none.
     """
     shared, folder = config_folder() / "window.ini", state_folder() / "layouts"
     own = folder / f"{os.getpid()}.ini"
-    with suppress(OSError):
+    try:
         folder.mkdir(parents=True, exist_ok=True)
+        own.touch()  # the window itself would end over a folder that can't be made
+        own.unlink()
+    except OSError:
+        yield None
+        return
+    with suppress(OSError):
         _remove_abandoned(folder)
         shutil.copyfile(shared, own)
     yield own

@@ -13,7 +13,7 @@ import glfw  # isort: skip
 import moderngl
 from imgui_bundle import glfw_utils
 
-from gsrain_engine.drive.simulation.rollout_formats import ROLLOUT_SUFFIXES
+from gsrain_engine.drive.rollouts.files import ROLLOUT_SUFFIXES
 from gsrain_engine.session.files.preferences import load_preferences
 from ui.style import apply_style
 
@@ -42,8 +42,9 @@ def run_window(begin: "Callable[[], Session]", backend: "WindowBackend" = "auto"
     window = Window(begin, backend)
     parameters = window.parameters()
     with own_layout() as layout:
+        parameters.ini_disable = layout is None
         parameters.ini_folder_type = hello_imgui.IniFolderType.absolute_path
-        parameters.ini_filename = str(layout)
+        parameters.ini_filename = str(layout or "")
         try:
             immapp.run(parameters, immapp.AddOnsParams(with_implot=False))
         finally:

@@ -1,6 +1,7 @@
 """A session in the window: the live view, the panels, the menus. Importing this loads the engine."""
 
 import logging
+import threading
 import time
 
 import moderngl
@@ -9,6 +10,7 @@ from imgui_bundle import hello_imgui, imgui
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.session.capture.capture_textures import CaptureTextures
 from gsrain_engine.session.drive.mosaic_pictures import MosaicPictures
+from gsrain_engine.session.jobs.job_folder import remove_abandoned_folders
 from gsrain_engine.session.jobs.job_previews import JobPreviews
 from gsrain_engine.session.picture.kept_texture import KeptTexture
 from gsrain_engine.session.picture.live_view import LiveView
@@ -18,13 +20,13 @@ from ui.action_keys import act_on_keys
 from ui.menus import draw_menus
 from ui.pages.about_page import about_page
 from ui.pages.command_palette import CommandPalette
-from ui.pages.file_dialogs import answer_dialogs
 from ui.pages.keyboard_page import keyboard_page
 from ui.pages.questions import draw_questions
-from ui.panels.table import PANELS
+from ui.panels.table import all_panels
 from ui.picture.viewport_panel import viewport_panel
 from ui.status_bar import status_bar
 from ui.style import apply_style
+from ui.widgets.file_dialogs import answer_dialogs
 
 logger = logging.getLogger("gsrain")
 
@@ -53,6 +55,7 @@ def begin_session(scene: str | None, rain: Rain | None) -> Session:
     session = Session(rain=rain)
     session.open(scene or "street")
     session.files.offer_recovery()
+    threading.Thread(target=remove_abandoned_folders, name="tidy up", daemon=True).start()
     return session
 
 
@@ -74,11 +77,12 @@ class Workspace:
     def dockable_windows(self) -> list[hello_imgui.DockableWindow]:
         """One for each panel."""
         windows: list[hello_imgui.DockableWindow] = []
-        for panel in PANELS:
+        panels = all_panels()
+        for panel in panels:
             window = hello_imgui.DockableWindow(
                 panel.title, _SPACES[panel.side], lambda panel=panel: panel.draw(self.session)
             )
-            is_first_there = panel.side not in [each.side for each in PANELS[: PANELS.index(panel)]]
+            is_first_there = panel.side not in [each.side for each in panels[: panels.index(panel)]]
             window.focus_window_at_next_frame = is_first_there
             windows.append(window)
         return windows
@@ -121,7 +125,7 @@ class Workspace:
 
     def draw_viewport(self) -> None:
         """Draw the viewport, and act on keys."""
-        if not self.session.view.dialog and self.session.question is None:
+        if not self.session.view.dialog and self.session.questions.present is None:
             act_on_keys(self.session)
         answer_dialogs()
         viewport_panel(self.session, self._textures)

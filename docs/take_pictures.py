@@ -26,10 +26,12 @@ IMAGES = Path(__file__).parent / "images"
 _SIZE = (1440, 900)
 _QUALITY = 88
 _TOOL_WIDTH = 560
+_SPLIT_WIDTH = 960
 _MOMENT_S = 5.4
 """In the middle of the shower and between two cars."""
 _IN_THE_DRIVE_S = 1.6
 """The car that stands is near, and the plan shows that it is seen."""
+_MOST_FRAMES = 500
 _MARGIN = 16
 """Pixels that the test engine takes around a window."""
 
@@ -65,6 +67,15 @@ class Photographer:
         for _ in range(count):
             self.ctx.yield_()
 
+    def rest(self) -> None:
+        """Let the frames go by that still change the picture: drops take the colour of a sky that is new."""
+        assert self.window.workspace is not None
+        for _ in range(_MOST_FRAMES):
+            if not self.window.workspace.view.is_catching_up:
+                break
+            self.ctx.yield_()
+        self.frames()
+
     def gesture(self, places: Sequence[tuple[float, float]], *, held: bool) -> None:
         """Drag through places of the picture and hold there, or click on each of them."""
         rect = self.ctx.item_info("//View/view").rect_full
@@ -82,6 +93,7 @@ class Photographer:
     def take(self, name: str, window: str | None = None, width: int | None = None) -> None:
         """Picture a window of the program, or all of it, for the guide; at most so wide."""
         self.frames()
+        self.rest()
         taken = self._folder / f"{name}.png"
         testing.capture(self.ctx, str(taken), window=window)
         IMAGES.mkdir(exist_ok=True)
@@ -171,7 +183,7 @@ def picture_pages(camera: Photographer) -> None:
 
 
 def picture_wet(camera: Photographer) -> None:
-    """The street clear; at 12 mm/h in its wet colours; without them, undone; and with them again."""
+    """The street clear; at 12 mm/h in its wet colours; without them, undone; with them again; both side by side."""
     session = camera.session
     camera.ctx.window_focus("//View")
     camera.take("wet_clear", "View", _TOOL_WIDTH)
@@ -185,6 +197,10 @@ def picture_wet(camera: Photographer) -> None:
     camera.take("wet_undone", "View", _TOOL_WIDTH)
     session.redo()
     camera.take("wet_redone", "View", _TOOL_WIDTH)
+    session.view.split = "clear | rainy"
+    camera.frames(20)
+    camera.take("split", "View", _SPLIT_WIDTH)
+    session.view.split = "off"
 
 
 def picture_capture(camera: Photographer) -> None:

@@ -9,15 +9,10 @@ street.
 import sys
 from pathlib import Path
 
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.render.backends import open_renderer
-from gsrain_engine.render.pictures import write_picture
-from gsrain_engine.render.still import render_still
-from gsrain_engine.scene.open_scene import open_to_draw
-from gsrain_engine.session.view.home_camera import home_camera
+from gsrain_engine.api import Rain, home_camera, open_renderer, open_scene, render_still, write_picture
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
-scene = open_to_draw(sys.argv[2] if len(sys.argv) > 2 else "street")
+scene = open_scene(sys.argv[2] if len(sys.argv) > 2 else "street")
 camera = home_camera(scene, 960, 640)
 
 with open_renderer() as renderer:

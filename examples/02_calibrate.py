@@ -11,13 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.rain.calibration import load_calibration, save_calibration
-from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
-from gsrain_engine.rain.fitting.calibrate_files import calibrate_files, open_measured
-from gsrain_engine.rain.fitting.plot import write_plot
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall
-from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
+from gsrain_engine.api import (
+    Rain,
+    Rainfall,
+    VirtualDisdrometer,
+    calibrate,
+    load_calibration,
+    save_calibration,
+    write_plot,
+    write_spectra,
+)
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 out.mkdir(parents=True, exist_ok=True)
@@ -30,7 +33,7 @@ if not files:
         files.append(out / f"spectra_{intensity_mm_h:g}mm_h.nc")
         write_spectra(files[-1], VirtualDisdrometer(rainfall).measure(minutes_s).spectra)
 
-fitted = calibrate_files([open_measured(file) for file in files], name="example")
+fitted = calibrate(files, name="example")
 save_calibration(fitted.calibration, out / "calibration.yaml")  # Rain(calibration="out/calibration.yaml") uses it
 write_plot(fitted, out / "calibration.png")
 for calibration in (load_calibration("published"), fitted.calibration):

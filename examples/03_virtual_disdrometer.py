@@ -10,10 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall
-from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
+from gsrain_engine.api import Rain, Rainfall, VirtualDisdrometer, write_spectra
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 out.mkdir(parents=True, exist_ok=True)

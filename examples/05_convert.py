@@ -8,13 +8,7 @@
 import sys
 from pathlib import Path
 
-from gsrain_engine.evaluate.image_metrics import psnr
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.render.backends import open_renderer
-from gsrain_engine.render.still import render_still
-from gsrain_engine.scene.formats import FORMATS, read_scene, write_scene
-from gsrain_engine.scene.open_scene import open_scene
-from gsrain_engine.session.view.home_camera import home_camera
+from gsrain_engine.api import FORMATS, Rain, home_camera, open_renderer, open_scene, psnr, render_still, write_scene
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 scene = open_scene(sys.argv[2] if len(sys.argv) > 2 else "street")
@@ -27,7 +21,7 @@ with open_renderer() as renderer:
             continue
         file = out / f"scene{each.suffix}"
         write_scene(scene, file)  # all layers in one file; a name without a suffix would be a scene folder
-        again = read_scene(file)
+        again = open_scene(file)
         picture = render_still(renderer, again, Rain(), camera).over()
         size = file.stat().st_size / again.gaussian_count
         print(f"{file}: {size:.1f} bytes a Gaussian, {psnr(picture, original):.1f} dB")

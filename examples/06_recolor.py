@@ -12,20 +12,23 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
-from gsrain_engine.appearance.views.scene_views import scene_views
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.reconstruct.recoloring.recolor_scene import recolor_scene
-from gsrain_engine.reconstruct.recoloring.recolored_scene import with_colors
-from gsrain_engine.reconstruct.recoloring.settings import RecolorSettings
-from gsrain_engine.reconstruct.recoloring.views import TargetView
-from gsrain_engine.render.backends import open_renderer
-from gsrain_engine.render.pictures import write_picture
-from gsrain_engine.render.still import render_still
-from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.scene.open_scene import open_to_draw
-from gsrain_engine.scene.progress import finished
-from gsrain_engine.session.view.home_camera import home_camera
+from gsrain_engine.api import (
+    Rain,
+    RecolorSettings,
+    TargetView,
+    ViewChoice,
+    chosen_cameras,
+    finished,
+    home_camera,
+    open_renderer,
+    open_scene,
+    recolor_scene,
+    render_still,
+    scene_views,
+    with_colors,
+    write_picture,
+    write_scene,
+)
 
 
 def dusk(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
@@ -34,7 +37,7 @@ def dusk(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
 
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
-scene = open_to_draw(sys.argv[2] if len(sys.argv) > 2 else "street")
+scene = open_scene(sys.argv[2] if len(sys.argv) > 2 else "street")
 views = scene_views(scene, chosen_cameras(scene, ViewChoice(count=8, width_px=240)))
 targets = [TargetView(view.name, view.camera, view.time_s, dusk(view.image)) for view in views]
 

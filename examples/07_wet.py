@@ -8,18 +8,20 @@ No weights and no torch are needed: the look is computed from light, depth and n
 import sys
 from pathlib import Path
 
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.reconstruct.wet_scene import wet_scene
-from gsrain_engine.render.backends import open_renderer
-from gsrain_engine.render.pictures import write_picture
-from gsrain_engine.render.still import render_still
-from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.scene.open_scene import open_to_draw
-from gsrain_engine.scene.progress import finished
-from gsrain_engine.session.view.home_camera import home_camera
+from gsrain_engine.api import (
+    Rain,
+    finished,
+    home_camera,
+    open_renderer,
+    open_scene,
+    render_still,
+    wet_scene,
+    write_picture,
+    write_scene,
+)
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
-scene = open_to_draw(sys.argv[2] if len(sys.argv) > 2 else "street")
+scene = open_scene(sys.argv[2] if len(sys.argv) > 2 else "street")
 wet = finished(wet_scene(scene), lambda step: print(f"{step.fraction:4.0%} {step.message}"))
 write_scene(wet, out / "wet")  # `gsrain out/wet` opens it; the intensity then moves drops and colours together
 

@@ -13,16 +13,22 @@ from pathlib import Path
 import numpy as np
 from msgspec import structs
 
-from gsrain_engine.drive.agents.agent import SPACING_S, Needs, Plan
-from gsrain_engine.drive.agents.observation import Observation, Rig
-from gsrain_engine.drive.agents.registry import open_agent
-from gsrain_engine.drive.metrics.comparison import Run, compare
-from gsrain_engine.drive.metrics.table import results_table
-from gsrain_engine.drive.scenario.scenario import load_scenario
-from gsrain_engine.drive.simulation.drive import drive_through
-from gsrain_engine.drive.simulation.rollout_files import write_rollout
-from gsrain_engine.drive.simulation.simulation import Simulation
-from gsrain_engine.scene.open_scene import open_to_draw
+from gsrain_engine.api import (
+    SPACING_S,
+    Needs,
+    Observation,
+    Plan,
+    Rig,
+    Run,
+    Simulation,
+    compare,
+    drive_through,
+    load_scenario,
+    open_agent,
+    open_scene,
+    results_table,
+    write_rollout,
+)
 
 
 class TwoSecondsAgent:
@@ -33,7 +39,7 @@ class TwoSecondsAgent:
 
     def reset(self, seed: int, rig: Rig) -> None:
         """Begin a drive."""
-        self._front_m = rig.vehicle.middle_m + rig.vehicle.length_m / 2  # of what it drives, from the rear axle
+        self._front_m = rig.vehicle.front_m  # of its bumper, from the rear axle
 
     def plan(self, observation: Observation) -> Plan:
         """Return where to be 0.5, 1.0, ... 3.0 s from now: x forward and y left of the vehicle, in metres."""
@@ -52,7 +58,7 @@ class TwoSecondsAgent:
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 scenario = load_scenario("stationary-lead")
 scenario = structs.replace(scenario, scene=sys.argv[2] if len(sys.argv) > 2 else "street")
-simulation = Simulation(scenario, open_to_draw(scenario.scene))
+simulation = Simulation(scenario, open_scene(scenario.scene))
 out.mkdir(parents=True, exist_ok=True)
 runs: list[Run] = []
 for agent in (open_agent("constant-velocity"), TwoSecondsAgent()):

@@ -10,14 +10,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-from gsrain_engine.drive.sweeps.expansion import jobs_of
-from gsrain_engine.drive.sweeps.jitter import Jitter
-from gsrain_engine.drive.sweeps.local_pool import LocalPool
-from gsrain_engine.drive.sweeps.run import run_sweep
-from gsrain_engine.drive.sweeps.sweep import DriveSweep
-from gsrain_engine.drive.sweeps.sweep_folder import SweepFolder
-from gsrain_engine.drive.sweeps.table import write_tables
-from gsrain_engine.scene.progress import finished
+from gsrain_engine.api import DriveSweep, Jitter, finish_sweep, finished
 
 
 def main(out: Path, scene: str) -> None:
@@ -30,15 +23,12 @@ def main(out: Path, scene: str) -> None:
         seeds=2,
         jitter=Jitter(ahead_m=1.0),
     )
-    folder, jobs = SweepFolder(out / "sweep"), jobs_of(sweep)
-    folder.describe(sweep, jobs)
-    finished(run_sweep(folder.to_do(jobs), LocalPool(), folder), lambda step: print(step.message))
-    told = write_tables(folder, sweep, jobs)
+    told = finished(finish_sweep(sweep, out / "sweep"), lambda step: print(step.message))
     for cell in told["cells"]:
         print(f"{cell['agent']} at {cell['intensity_mm_h']:g} mm/h: {cell['collisions']} of {cell['runs']} collide")
     for error, count in told["errors"].items():
         print(f"{count} of {told['jobs']} failed: {error}")
-    print(folder.path / "report.html")
+    print(out / "sweep" / "report.html")
 
 
 if __name__ == "__main__":  # workers are processes of their own, which load this file too

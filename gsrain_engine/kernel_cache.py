@@ -2,7 +2,10 @@
 
 import hashlib
 import os
+import pickle
 import shutil
+import stat
+import tempfile
 import time
 from collections.abc import Iterable
 from contextlib import suppress
@@ -14,6 +17,8 @@ import platformdirs
 _KEPT = 2
 _UNUSED_S = 3600.0
 """A folder from which no process has started for so long may go; one that still runs compiles again, no more."""
+_ROOM_BYTES = 32 << 20
+"""Kernels take a fifth of it."""
 
 
 def use_kernel_cache() -> None:
@@ -25,7 +30,11 @@ def use_kernel_cache() -> None:
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     if chosen is None or Path(chosen).parent == root:
         here = Path(__file__).parent
-        folder = kernel_cache(root, metadata.version("gsrain"), [here / "raster", here / "rain"])
+        version, sources = metadata.version("gsrain"), [here / "raster", here / "rain"]
+        folder = kernel_cache(root, version, sources)
+        if not _has_room(folder) and (other := _temporary_root()) is not None:
+            folder = kernel_cache(other, version, sources)
+        _remove_torn(folder)
         os.environ["NUMBA_CACHE_DIR"] = str(folder)
 
 
@@ -49,6 +58,38 @@ def kernel_cache(root: Path, version: str, sources: Iterable[Path]) -> Path:
         os.utime(folder)
         _remove_old(root)
     return folder
+
+
+def _has_room(folder: Path) -> bool:
+    """Whether kernels can be kept there, or are already: compiling them fails where they can't."""
+    try:
+        has_room = any(folder.rglob("*.nbi")) or shutil.disk_usage(folder).free > _ROOM_BYTES
+        return has_room and os.access(folder, os.W_OK)
+    except OSError:
+        return False
+
+
+def _temporary_root() -> Path | None:
+    """Folder for kernels among the temporary files; None where somebody else could put some into it."""
+    if os.name != "posix":
+        return None
+    root = Path(tempfile.gettempdir()) / f"gsrain-kernels-{os.getuid()}"
+    try:
+        root.mkdir(mode=0o700, exist_ok=True)
+        status = root.lstat()
+    except OSError:
+        return None
+    is_own = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o077
+    return root if is_own else None
+
+
+def _remove_torn(folder: Path) -> None:
+    """Remove what a machine that went down has left half: Numba would end every later start over it."""
+    for file in folder.rglob("*.nb[ic]"):
+        with suppress(OSError), file.open("rb") as opened:
+            opened.seek(max(0, file.stat().st_size - 1))
+            if opened.read(1) != pickle.STOP:
+                file.unlink(missing_ok=True)
 
 
 def _key(version: str, sources: Iterable[Path]) -> str:

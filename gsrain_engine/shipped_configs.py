@@ -4,7 +4,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
-import msgspec
+from .explained_errors import converted
+from .plain_values import read_whole, yaml_values
 
 _Config = TypeVar("_Config")
 
@@ -18,11 +19,12 @@ def shipped_names(folder: str) -> list[str]:
 def load_config(folder: str, name: str | Path, kind: type[_Config], what: str) -> _Config:
     """Read a file as a type that msgspec knows; `what` it is begins the sentence where it is not found.
 
-    Raises ValueError with the file, the field and what is allowed.
+    Raises ValueError with the file, the field and what is allowed, OSError where it can't be read.
     """
+    data = _data(folder, str(name), what)
     try:
-        return msgspec.yaml.decode(_data(folder, str(name), what), type=kind)
-    except msgspec.MsgspecError as error:
+        return converted(yaml_values(data), kind)
+    except ValueError as error:
         where = f"{what} {name}" if str(name) in shipped_names(folder) else name
         raise ValueError(f"{where}: {error}") from None
 
@@ -42,4 +44,4 @@ def _data(folder: str, name: str, what: str) -> bytes:
     if not path.is_file():
         known = ", ".join(shipped_names(folder))
         raise ValueError(f"{what} {name}: no such file, and none of the shipped ones ({known})")
-    return path.read_bytes()
+    return read_whole(path)

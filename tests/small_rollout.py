@@ -3,7 +3,7 @@
 import msgspec
 import numpy as np
 
-from gsrain_engine.drive.simulation.rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
+from gsrain_engine.drive.rollouts.rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
 from gsrain_engine.drive.vehicle.vehicle import Vehicle
 
 CAR = Vehicle(length_m=4.0, width_m=2.0, rear_overhang_m=1.0)

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from gsrain_engine.kernel_cache import has_kernels, kernel_cache
+from gsrain_engine import kernel_cache as cache
+from gsrain_engine.kernel_cache import has_kernels, kernel_cache, use_kernel_cache
 
 
 @pytest.fixture
@@ -122,3 +123,48 @@ def test_knows_whether_kernels_have_been_compiled(tmp_path, monkeypatch):
     (tmp_path / "raster_1").mkdir()
     (tmp_path / "raster_1" / "tiles._count.nbi").touch()
     assert has_kernels()
+
+
+@pytest.fixture
+def own_places(tmp_path, monkeypatch):
+    """Cache and temporary files of this test alone."""
+    for name in ("cache", "tmp"):
+        (tmp_path / name).mkdir()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(cache.tempfile, "tempdir", str(tmp_path / "tmp"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "set back in the end")
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    return tmp_path
+
+
+def chosen():
+    os.environ.pop("NUMBA_CACHE_DIR", None)
+    use_kernel_cache()
+    return Path(os.environ["NUMBA_CACHE_DIR"])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="places as Linux has them")
+def test_a_full_disk_leads_kernels_to_temporary_files_of_this_user_alone(own_places, monkeypatch):
+    usual = chosen()
+    assert usual.is_relative_to(own_places / "cache")
+    monkeypatch.setattr(cache, "_ROOM_BYTES", 1 << 62)
+    other = chosen()
+    assert other.is_relative_to(own_places / "tmp")
+    root = other.parent
+    assert root.stat().st_mode & 0o077 == 0
+    (usual / "kernel.nbi").write_bytes(b"index.")
+    assert chosen() == usual  # what is there needs no room
+    (usual / "kernel.nbi").unlink()
+    root.chmod(0o777)  # Numba runs what it finds: not what others can have put there
+    assert chosen() == usual
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="places as Linux has them")
+@pytest.mark.parametrize("torn", [b"", b"\x80\x04half"])
+def test_what_a_power_cut_has_torn_is_compiled_again(own_places, torn):
+    folder = chosen() / "raster_12"
+    folder.mkdir()
+    for name, data in {"whole.nbi": b"\x80\x04N.", "torn.nbi": torn, "torn.1.nbc": torn, "notes.txt": b""}.items():
+        (folder / name).write_bytes(data)
+    chosen()
+    assert sorted(each.name for each in folder.iterdir()) == ["notes.txt", "whole.nbi"]

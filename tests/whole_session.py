@@ -41,7 +41,7 @@ class Person(Driver):
     def answer(self, title, label):
         """Answer a question of the program, if it asks."""
         self.frames(4)
-        if self.session.question is not None and self.session.question.title == title:
+        if self.session.questions.present is not None and self.session.questions.present.title == title:
             self.ctx.item_click(f"//{title}/{label}")
             self.frames(4)
 
@@ -180,9 +180,9 @@ def second(folder):
 
     def script():
         session.clock.playing = False
-        person.until(lambda: session.question is not None, 100_000)
-        person.say("asked", session.question.title)
-        person.ctx.item_click(f"//{session.question.title}/Recover")
+        person.until(lambda: session.questions.present is not None, 100_000)
+        person.say("asked", session.questions.present.title)
+        person.ctx.item_click(f"//{session.questions.present.title}/Recover")
         person.until(lambda: person.is_idle() and session.rain.intensity_mm_h == 12, 100_000)
         scene = session.scene
         person.say("recovered", session.rain.intensity_mm_h, scene.gaussian_count, len(scene.path.times_s))

@@ -1,6 +1,7 @@
 """What several commands take on the command line."""
 
 import json
+import math
 import re
 import sys
 from collections.abc import Mapping
@@ -8,6 +9,8 @@ from pathlib import Path
 from typing import Annotated, Any, TextIO
 
 from cyclopts import Parameter
+
+from gsrain_engine.scene.atomic_files import whole_file
 
 JsonFile = Annotated[Path | None, Parameter(name="--json", help="Write the reported numbers to this file.")]
 
@@ -21,6 +24,12 @@ SCREEN = Path("-")
 _SIZE = re.compile(r"(\d+)x(\d+)")
 
 
+def finite(_kind: Any, value: Any) -> None:
+    """Raise ValueError for NaN and infinity: no option takes them. `value` is what an option was given."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError("Expected a finite number.")
+
+
 def parse_size(text: str, option: str = "--size") -> tuple[int, int]:
     """Turn "960x640" into (960, 640)."""
     match = _SIZE.fullmatch(text)
@@ -30,13 +39,22 @@ def parse_size(text: str, option: str = "--size") -> tuple[int, int]:
     return size
 
 
+def listed(option: str, text: str) -> list[str]:
+    """Split at commas; what stands there twice is taken once. Raises ValueError for an empty word."""
+    words = list(dict.fromkeys(word.strip() for word in text.split(",")))
+    if not all(words):
+        raise ValueError(f"{option} {text!r}: expected values with single commas between")
+    return words
+
+
 def write_numbers(file: Path | None, numbers: Mapping[str, Any]) -> None:
     """Write what a command reports as JSON, if it was asked to; `SCREEN` prints it."""
     if file == SCREEN:
         print(json.dumps(numbers, indent=1))
     elif file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+        with whole_file(file) as beside:
+            beside.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
 
 
 def words_go_to(file: Path | None) -> TextIO:

@@ -1,4 +1,4 @@
-"""`gsrain bench`: how fast this machine is."""
+"""`gsrain bench render`: how fast this machine draws."""
 
 import re
 from collections.abc import Iterator
@@ -11,10 +11,10 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
+from gsrain_engine.backends import Backend, device_of, open_renderer
 from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import Rainfall
-from gsrain_engine.render.backends import Backend, device_of, open_renderer
 from gsrain_engine.render.benchmark import FrameTimes, lines_over_gaussians, rain_costs, time_frames
 from gsrain_engine.render.context import NoOpenGLError
 from gsrain_engine.render.machine import machine
@@ -25,7 +25,7 @@ from gsrain_engine.scene.random_scene import is_random_scene, random_scene, rand
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.view.home_camera import default_path
 
-from .arguments import JsonFileOrScreen, parse_size, words_go_to, write_numbers
+from .arguments import JsonFileOrScreen, listed, parse_size, words_go_to, write_numbers
 from .progress import progress_bar
 
 _SCENES = "random-50k,random-100k,random-200k,random-400k,random-800k,random-1m,random-3m,street"
@@ -50,15 +50,15 @@ def render(
     """Time frames of fixed scenes: make the rain, draw, fetch the picture. Medians, by back end, size and rain."""
     if not 1 <= frames <= 10_000:
         raise ValueError(f"--frames {frames}: must be within 1..10000")
-    resolutions = [parse_size(each, "--sizes") for each in _listed("--sizes", sizes)]
-    rainfalls = [_rainfall(each) for each in _listed("--rain", rain)]
-    names = _listed("--scenes", scenes)
+    resolutions = [parse_size(each, "--sizes") for each in listed("--sizes", sizes)]
+    rainfalls = [_rainfall(each) for each in listed("--rain", rain)]
+    names = listed("--scenes", scenes)
     rows: list[FrameTimes] = []
     with ExitStack() as stack:
         renderers = [stack.enter_context(open_renderer(each)) for each in _backends(backends)]
         devices = {renderer.name: device_of(renderer) for renderer in renderers}
         for name in names:
-            scene = random_scene(name) if is_random_scene(name) else open_scene(name)
+            scene = timed_scene(name)
             runs = list(_runs(scene, renderers, resolutions, rainfalls))
             with progress_bar(f"Timing {scene.name}", len(runs)) as advance:
                 for renderer, sequences in runs:
@@ -69,12 +69,9 @@ def render(
     write_numbers(json, numbers)
 
 
-def _listed(option: str, text: str) -> list[str]:
-    """Split at commas; the same thing twice is timed once."""
-    words = list(dict.fromkeys(word.strip() for word in text.split(",")))
-    if not all(words):
-        raise ValueError(f"{option} {text!r}: expected values with single commas between")
-    return words
+def timed_scene(name: str) -> Scene:
+    """Open a scene, or make a random one."""
+    return random_scene(name) if is_random_scene(name) else open_scene(name)
 
 
 def _rainfall(intensity: str) -> Rainfall:
@@ -87,7 +84,7 @@ def _rainfall(intensity: str) -> Rainfall:
 def _backends(text: str | None) -> list[Backend]:
     """What was asked for, else what there is; auto becomes the one that it takes here."""
     known: dict[str, Backend] = {each: each for each in get_args(Backend)}
-    wanted = _listed("--backends", text) if text is not None else ["auto", "cpu", *_opengl()]
+    wanted = listed("--backends", text) if text is not None else ["auto", "cpu", *_opengl()]
     for name in wanted:
         if name not in known:
             raise ValueError(f"--backends {name}: expected {', '.join(known)}")

@@ -14,6 +14,7 @@ from gsrain_engine.datasets.checks.pose_checks import PoseCheck, check_poses
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from gsrain_engine.datasets.overlay import contact_sheet
 from gsrain_engine.datasets.readable_pictures import readable_pictures
+from gsrain_engine.render.pictures import write_sheet
 
 from .progress import progress_bar
 
@@ -35,8 +36,7 @@ def capture_info(path: Path, check: bool, overlay: Path | None) -> dict[str, Any
     kind = found.name if found is not None else ""
     _print(summary, kind, checks, check)
     if overlay is not None:
-        overlay.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(contact_sheet(capture)).save(overlay)
+        write_sheet(overlay, Image.fromarray(contact_sheet(capture)))
         print(f"{overlay}: points and boxes drawn into views")
     numbers = {"capture": summary.name, "format": kind, **asdict(summary)}
     return numbers | ({"checks": [asdict(each) for each in checks]} if check else {})

@@ -3,6 +3,7 @@
 import importlib.util
 import sys
 from collections.abc import Callable
+from functools import partial
 from importlib import metadata
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from .arguments import JsonFile, write_numbers
 from .display import has_display
+from .installed_extensions import describe, installed_extensions
 
 
 class Finding(NamedTuple):
@@ -44,13 +46,19 @@ def doctor(*, json: JsonFile = None) -> int:
         _package("onnxruntime", "the detectors of gsrain evaluate detection", "evaluate"),
         find_detector_file(),
         _package("pycocotools", "average precision in gsrain evaluate detection", "evaluate"),
-        _package("pyarrow", "Waymo Perception v2 (Parquet tables)", "waymo"),
+        _package("pyarrow", "gsrain sweep, roll-outs as Parquet, Waymo Perception v2", "drive"),
+        _package("distributed", "gsrain sweep on a Dask cluster", "drive"),
+        _package("gymnasium", "the environments gsrain/Drive-v0 and gsrain/DrivePlan-v0", "drive"),
+        _package("mcap", "roll-outs for Foxglove", "drive"),
+        _package("scenariogeneration", "writing OpenSCENARIO and OpenDRIVE", "drive"),
         _package("protobuf", "Waymo Perception v1 (TFRecord files)", "waymo"),
     ]
-    for finding in (*needed, *optional):
-        mark = "ok     " if finding.found else ("MISSING" if finding in needed else "absent ")
+    added = [_tried(f"{each.group.noun} {each.name}", partial(describe, each), "") for each in installed_extensions()]
+    for finding in (*needed, *optional, *added):
+        missing = "MISSING" if finding in needed else "broken " if finding in added else "absent "
+        mark = "ok     " if finding.found else missing
         print(f"{mark} {finding.name}: {finding.what}")
-    write_numbers(json, {each.name: {"found": each.found, "what": each.what} for each in (*needed, *optional)})
+    write_numbers(json, {each.name: {"found": each.found, "what": each.what} for each in (*needed, *optional, *added)})
     return 0 if all(each.found for each in needed) else 1
 
 
@@ -74,7 +82,7 @@ def _osmesa() -> Finding:
     return _tried(
         "OSMesa (stands in where EGL is missing)",
         lambda: _describe_context("osmesa"),
-        "Optional; on Debian 12: apt-get install libosmesa6",
+        "(optional; Debian 13 no longer has it)",
     )
 
 
@@ -148,7 +156,7 @@ def _gsplat() -> Finding:
     """Draws with it, as `--backend cuda` does: gsplat is installed without its kernels and compiles them itself."""
 
     def device() -> str:
-        from gsrain_engine.render.backends import device_of, open_renderer
+        from gsrain_engine.backends import device_of, open_renderer
 
         with open_renderer("cuda") as renderer:
             return f"--backend cuda draws on {device_of(renderer)}"

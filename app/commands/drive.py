@@ -1,6 +1,7 @@
 """`gsrain drive [SCENARIO.yaml]`: a closed loop of scene, rain and driver."""
 
 import re
+import traceback
 from contextlib import ExitStack
 from itertools import product
 from pathlib import Path
@@ -9,18 +10,20 @@ from typing import Annotated
 import msgspec
 from cyclopts import Parameter
 
+from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.drive.agents.agent import Agent
 from gsrain_engine.drive.agents.client_error import ClientError
 from gsrain_engine.drive.metrics.comparison import Run, compare
 from gsrain_engine.drive.metrics.table import results_table
 from gsrain_engine.drive.road.drivable import drivable_of
-from gsrain_engine.drive.scenario.scenario import Scenario, load_scenario
+from gsrain_engine.drive.rollouts.rollout import BACKGROUND
+from gsrain_engine.drive.scenario.scenario import Scenario
+from gsrain_engine.drive.scenario.scenario_files import load_scenario
 from gsrain_engine.drive.simulation import drive as driving
 from gsrain_engine.drive.simulation.simulation import Simulation
 from gsrain_engine.drive.sweeps.program import software
 from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain import Rain
-from gsrain_engine.render.backends import Backend, open_renderer
 from gsrain_engine.render.video import can_write_videos
 from gsrain_engine.scene.content_hash import scene_hash
 from gsrain_engine.scene.open_scene import open_to_draw
@@ -106,12 +109,17 @@ def drive(
             runs.append(_run(simulation, agent, hashed))
             if problem is not None:  # what has been driven is written all the same
                 break
-        facts = run_facts({"scene": hashed})
+        facts = run_facts({})  # the runs name their scene
         written = write_drives(files, runs, opened, renderer if films else None, told_facts(facts))
     print(results_table(compare(runs)).text)
     if len(rains) > 1:
         for name in [agent.name for agent in agents if not agent.needs.cameras]:
             print(f"{name} looks at no picture: rain changes nothing for it.")
+    if any(len(run.rollout.steps) == 1 and run.rollout.steps[0].collision == BACKGROUND for run in runs if run.rollout):
+        print(
+            f"It begins inside of what stands in scene {opened.name!r}: is a unit as long as its folder says, and the "
+            "start free? `ahead_m` of the scenario moves it along."
+        )
     print(f"{folder}:")
     for name in written:
         print(f"  {name}")
@@ -138,10 +146,18 @@ def _drive(simulation: Simulation, agent: Agent) -> str | None:
             return f"agent {agent.name}: {error}"
         except KeyboardInterrupt:
             return "stopped"
+        except Exception as error:  # an agent may be anybody's code
+            return f"agent {agent.name}: {type(error).__name__}: {error} ({_place(error)})"
     if simulation.end != "agent":
         return None
     last = simulation.rollout(agent.name).steps[-1]
     return str(last.notes.get("problem", f"{agent.name} had no plan at {last.time_s:g} s"))
+
+
+def _place(error: Exception) -> str:
+    """Return the file and the line where something went wrong."""
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{Path(frame.filename).name}, line {frame.lineno}"
 
 
 def _run(simulation: Simulation, agent: Agent, hashed: str) -> Run:

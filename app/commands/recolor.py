@@ -10,7 +10,7 @@ from rich.table import Table
 
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.evaluate.report.run_report import write_report
+from gsrain_engine.evaluate.report.report_file import write_report
 from gsrain_engine.reconstruct.recoloring.settings import RecolorSettings
 from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.open_scene import open_scene

@@ -2,15 +2,14 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 from msgspec import structs
 
+from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.rain.rainfall import Rainfall
-from gsrain_engine.render.backends import Backend, open_renderer
 from gsrain_engine.render.look import Look
 from gsrain_engine.render.objects.label_files import LabelFormat, write_object_labels
 from gsrain_engine.render.record import record
@@ -29,16 +28,12 @@ from gsrain_engine.session.jobs.recorded_project import own_path
 from gsrain_engine.session.view.home_camera import front_camera, home_camera
 
 from .arguments import JsonFile, parse_size, write_numbers
+from .orientation import Orientation
 from .progress import followed, progress_bar
 from .render_options import RainOptions, RecordingOptions
 from .rendered_weather import rendered_weather
 
 _MOST_LISTED = 6
-_UP = {
-    "x": (1.0, 0.0, 0.0), "-x": (-1.0, 0.0, 0.0),
-    "y": (0.0, 1.0, 0.0), "-y": (0.0, -1.0, 0.0),
-    "z": (0.0, 0.0, 1.0), "-z": (0.0, 0.0, -1.0),
-}  # fmt: skip
 
 
 def render(
@@ -71,11 +66,7 @@ def render(
         bool,
         Parameter(help="First give the scene wet colours, as the window's preview job does; soaked without --wetness."),
     ] = False,
-    up: Annotated[
-        Literal["x", "-x", "y", "-y", "z", "-z"] | None,
-        Parameter(help="Which way is up in the scene's axes.", allow_leading_hyphen=True),
-    ] = None,
-    metres_per_unit: Annotated[float | None, Parameter(help="Length of one scene unit in metres.")] = None,
+    orientation: Orientation | None = None,
     backend: Annotated[Backend, Parameter(help="auto takes OpenGL on a GPU, else the processor.")] = "auto",
     json: JsonFile = None,
 ) -> int:
@@ -84,8 +75,8 @@ def render(
         output, parse_size(size) if size else None, depth=depth or labels is not None
     )
     asked.check()
-    _check(duration=duration, frame=frame, metres_per_unit=metres_per_unit)
-    opened = _oriented(open_to_draw(scene), up, metres_per_unit)
+    _check(duration=duration, frame=frame)
+    opened = (orientation or Orientation()).of(open_to_draw(scene))
     if labels is not None and not scene_objects(opened):
         raise ValueError(f"--labels {labels}: scene {opened.name!r} has no actors that labels could be about")
     asked_rain = (rain or RainOptions()).for_scene(opened)
@@ -171,19 +162,11 @@ def _describe(rainfall: Rainfall, first_s: float) -> str:
     return ", ".join([*words, *filter(None, [rain.exaggeration])])
 
 
-def _check(*, duration: float | None, frame: int | None, metres_per_unit: float | None) -> None:
+def _check(*, duration: float | None, frame: int | None) -> None:
     if duration is not None and not 0 < duration <= 36000:
         raise ValueError(f"--duration {duration:g}: must be above 0 and at most 36000 s")
     if frame is not None and frame < 0:
         raise ValueError(f"--frame {frame}: must be 0 or more")
-    if metres_per_unit is not None and not 1e-6 <= metres_per_unit <= 1e6:
-        raise ValueError(f"--metres-per-unit {metres_per_unit:g}: must be within 0.000001..1000000")
-
-
-def _oriented(scene: Scene, up: str | None, metres_per_unit: float | None) -> Scene:
-    if up is not None:
-        scene = replace(scene, up=_UP[up])
-    return scene if metres_per_unit is None else replace(scene, metres_per_unit=metres_per_unit)
 
 
 def _made_rainy(scene: Scene) -> Scene:

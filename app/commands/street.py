@@ -15,6 +15,7 @@ from gsrain_engine.scene.open_scene import cached_street
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
 
+from .arguments import JsonFile, write_numbers
 from .progress import progress_bar
 
 
@@ -27,6 +28,7 @@ def street(
     ),
     moments: Annotated[int, Parameter(help="How many moments of the drive to photograph; 0 for none.")] = 4,
     width: Annotated[int, Parameter(help="Width of the images in pixels.")] = 960,
+    json: JsonFile = None,
 ) -> None:
     """Write the built-in street: Gaussians, tracks, rigs, and true images with depth, normals and labels."""
     if not 0 <= moments <= 1000:
@@ -43,6 +45,7 @@ def street(
             for _ in write_views(directory / "images", _photographs(scene, rig, moments, width)):
                 advance()
         print(f"{directory / 'images'}: {moments * len(scene.rigs[rig])} views with depth, normals and labels")
+    write_numbers(json, {"gaussians": scene.gaussian_count, "views": moments * len(scene.rigs[rig])})
 
 
 def _photographs(scene: Scene, rig: str, moments: int, width: int) -> Iterator[View]:

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import msgspec
 from cyclopts import Parameter
 
+from gsrain_engine.backends import Backend
 from gsrain_engine.drive.sweeps.dask_cluster import DaskCluster
 from gsrain_engine.drive.sweeps.engine import Engine, HereEngine
 from gsrain_engine.drive.sweeps.expansion import jobs_of
@@ -21,7 +22,6 @@ from gsrain_engine.drive.sweeps.shard import Shard
 from gsrain_engine.drive.sweeps.sweep import Sweep, load_sweep, sweep_names
 from gsrain_engine.drive.sweeps.sweep_folder import SweepFolder
 from gsrain_engine.drive.sweeps.table import write_tables
-from gsrain_engine.render.backends import Backend
 
 from .arguments import JsonFile, write_numbers
 from .outputs import check_writable

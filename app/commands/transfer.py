@@ -14,6 +14,7 @@ from gsrain_engine.appearance.methods import open_transfer
 from gsrain_engine.appearance.transfer import RainyView
 from gsrain_engine.appearance.transfer_record import TransferRecord
 from gsrain_engine.appearance.transferred_folder import check_transferred_folder, write_transferred
+from gsrain_engine.render.pictures import write_sheet
 
 from .arguments import JsonFile, write_numbers
 from .outputs import check_writable
@@ -69,8 +70,7 @@ def _followed(rainy: Iterator[RainyView], count: int, sheet: Path | None) -> dic
             advance()
     seconds = time.perf_counter() - started
     if sheet is not None:
-        sheet.parent.mkdir(parents=True, exist_ok=True)
-        pictures.picture().save(sheet)
+        write_sheet(sheet, pictures.picture())
     return {
         "views": made,
         "seconds": round(seconds, 3),

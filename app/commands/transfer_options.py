@@ -11,7 +11,7 @@ from gsrain_engine.appearance.methods import method_of
 from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.appearance.views.choice import Source, ViewChoice
 from gsrain_engine.rain.wetness import wetness
-from gsrain_engine.session.jobs.torch_extra import require_torch
+from gsrain_engine.session.jobs.torch_extra import HOW_TO_GET_DIFFUSION, require_torch
 
 _OPTIONS = {"source": "views", "width_px": "width", "side_px": "side", "tile_px": "tile", "sensors": "cameras"}
 _MOST_MM_H = 100.0
@@ -49,7 +49,9 @@ class MethodOptions:
 
     method: Annotated[
         str,
-        Parameter(help="wet: computed, without weights; cyclegan-turbo: the paper's model; images: from --images."),
+        Parameter(
+            help="wet: computed, no weights; cyclegan-turbo: the paper's model; images: --images; or a package's."
+        ),
     ] = "wet"
     rain: Annotated[float | None, Parameter(help="wet: as wet as steady rain of so many mm/h makes things.")] = None
     wetness: Annotated[
@@ -109,7 +111,7 @@ class MethodOptions:
             if path is not None and not path.exists():
                 raise ValueError(f"--{name.replace('_', '-')} {path}: no such file or folder")
         if method.needs_torch:
-            require_torch(f"--method {self.method}")
+            require_torch(f"--method {self.method}", HOW_TO_GET_DIFFUSION)
 
     def _wetness(self) -> float:
         if self.rain is None:

@@ -1,0 +1,1 @@
+"""Clear views in, rainy views out."""

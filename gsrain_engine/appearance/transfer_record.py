@@ -11,6 +11,8 @@ from jaxtyping import Float64
 
 from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.datasets.capture_folder import write_world
+from gsrain_engine.plain_values import json_values, read_whole
+from gsrain_engine.printable import printable
 
 TRANSFER = "transfer.json"
 _VERSION = 1
@@ -54,7 +56,7 @@ def read_record(folder: Path) -> TransferRecord:
     """Read how rainy views were made; raises `CaptureError` where the file is missing or another one."""
     file = folder / TRANSFER
     try:
-        values = json.loads(file.read_text(encoding="utf-8"))
+        values = json_values(read_whole(file))
         if values["version"] > _VERSION:
             raise CaptureError(
                 f"{file}: version {values['version']} is newer than {_VERSION}, which this program knows"
@@ -63,7 +65,7 @@ def read_record(folder: Path) -> TransferRecord:
         if to_world.shape != (4, 4) or not np.isfinite(to_world).all() or np.linalg.det(to_world[:3, :3]) <= 0:
             raise CaptureError(f"{file}: to_world must be a similarity, 4x4 numbers")
         return TransferRecord(str(values["method"]), str(values["made_of"]), dict(values["settings"]), to_world)
-    except (OSError, KeyError, TypeError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError, OverflowError) as error:
         if isinstance(error, CaptureError):
             raise
-        raise CaptureError(f"{file}: not the record of a transfer ({error})") from None
+        raise CaptureError(f"{file}: not the record of a transfer ({printable(error)})") from None

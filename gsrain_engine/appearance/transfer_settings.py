@@ -48,8 +48,8 @@ class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
                 ge=64,
                 le=4096,
                 title="Side",
-                description="A learned method sees pictures brought to this shorter side; none: as they are.",
-                extra={"unit": "px"},
+                description="A learned method sees pictures brought to this shorter side.",
+                extra={"unit": "px", "none": "as they are"},
             ),
         ]
         | None
@@ -59,10 +59,11 @@ class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             int,
             Meta(
                 ge=64,
+                le=4096,
                 multiple_of=64,
                 title="Tile",
-                description="Larger pictures go through it in overlapping tiles of this side; none: in one piece.",
-                extra={"unit": "px"},
+                description="Larger pictures go through it in overlapping tiles of this side.",
+                extra={"unit": "px", "none": "in one piece", "usual": 512},
             ),
         ]
         | None

@@ -1,0 +1,1 @@
+"""Recorded drives, photogrammetry and pictures, each as one `Capture`."""

@@ -85,6 +85,6 @@ def _label_files(path: Path, wanted: set[str]) -> list[Path]:
 def _rows(file: Path) -> Iterable[_Labelled]:
     try:
         rows = msgspec.json.decode(file.read_bytes(), type=list[_Labelled] | _Labelled)
-    except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise CaptureError(f"{file}: no label file of BDD-100K ({error})") from None
     return rows if isinstance(rows, list) else [rows]

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Shaped, UInt8
 
+from gsrain_engine.printable import printable
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.track import Track
 
@@ -14,8 +15,15 @@ EGO_HEIGHT_M = 1.5
 """Height of the ego frame's origin above the road in captures and scenes: a sensor on a car, as the paper has it."""
 
 
+_LONGEST = 1200
+"""Signs of a sentence about a capture, which may name several files."""
+
+
 class CaptureError(ValueError):
     """A capture can't be read, or a file of it; the message names the file and what is wrong."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message, _LONGEST))
 
 
 Source = Shaped[np.ndarray, "..."] | Callable[[], Shaped[np.ndarray, "..."]]
@@ -95,8 +103,13 @@ class View:
     def _read(self, name: str, source: Source | None) -> Any:
         array = source() if callable(source) else source
         size = (self.camera.height, self.camera.width)
-        if array is not None and array.shape[:2] != size:
+        if array is None:
+            return None
+        if array.shape[:2] != size:
             raise CaptureError(f"view {self.name!r}: {name} is {array.shape[:2]}, its camera says {size}")
+        channels = (3,) if name in ("image", "normals") else ()
+        if array.shape[2:] != channels:
+            raise CaptureError(f"view {self.name!r}: {name} has the shape {array.shape}, expected {(*size, *channels)}")
         return array
 
 
@@ -156,6 +169,7 @@ class Capture:
         doubled = {name for name in names if names.count(name) > 1} if len(set(names)) < len(names) else set[str]()
         if doubled:
             raise CaptureError(f"capture {self.name!r} has several views named {sorted(doubled)[0]!r}")
+        object.__setattr__(self, "problems", tuple(printable(each, _LONGEST) for each in self.problems))
 
     def __len__(self) -> int:
         return len(self.views)

@@ -7,6 +7,7 @@ world.json says otherwise: {"up": [x, y, z], "is_metric": false}.
 """
 
 import json
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -20,14 +21,22 @@ from gsrain_engine.scene.errors import SceneFormatError
 
 from .capture import Capture, CaptureError, Lens, View
 from .files.array_file import read_floats
-from .files.json_file import read_json_rows
+from .files.json_file import read_json_object, read_json_rows
 from .files.picture_file import picture_size, read_color, read_labels, read_mask
 
 CAMERAS, WORLD = "cameras.json", "world.json"
+_LARGEST = 1e12
+"""Larger numbers are those of damaged files."""
+
+
+def _read_measured(file: Path) -> np.ndarray:
+    """Numbers of pixels, 0 where they are none."""
+    return np.nan_to_num(read_floats(file), copy=False, nan=0, posinf=0, neginf=0)
+
 
 _OTHER_PIXELS: dict[str, tuple[str, Callable[[Path], np.ndarray]]] = {
-    "depth": ("depth.npy", read_floats),
-    "normals": ("normals.npy", read_floats),
+    "depth": ("depth.npy", _read_measured),
+    "normals": ("normals.npy", _read_measured),
     "labels": ("labels.png", read_labels),
     "mask": ("mask.png", read_mask),
     "sky": ("sky.png", read_mask),
@@ -99,14 +108,14 @@ def _world(file: Path) -> tuple[tuple[float, float, float], bool]:
     """Read which way is up, and whether the unit is the metre; z and yes where there is no such file."""
     if not file.is_file():
         return (0.0, 0.0, 1.0), True
+    values = read_json_object(file)
     try:
-        values = json.loads(file.read_text(encoding="utf-8"))
         x, y, z = (_number(each, str(file), "up") for each in values["up"])
         is_metric = values["is_metric"]
     except (KeyError, TypeError, ValueError) as error:
         raise CaptureError(f"{file}: expected up (three numbers) and is_metric ({error})") from None
-    if not isinstance(is_metric, bool) or np.linalg.norm([x, y, z]) < 1e-6:
-        raise CaptureError(f"{file}: is_metric must be true or false, and up no zero vector")
+    if not isinstance(is_metric, bool) or not 1e-6 < math.hypot(x, y, z) < 1e6:
+        raise CaptureError(f"{file}: is_metric must be true or false, and up a direction")
     return (x, y, z), is_metric
 
 
@@ -144,9 +153,15 @@ def _view(folder: Path, values: dict[str, Any], where: str) -> View:
         time_s=_number(values.get("time_s", 0.0), where, "time_s"),
         sensor=str(values.get("sensor", "")),
         lens=_lens(values.get("lens"), where),
-        attributes={str(key): str(value) for key, value in dict(values.get("attributes", {})).items()},
+        attributes=_attributes(values.get("attributes", {}), where),
         **others,
     )
+
+
+def _attributes(values: Any, where: str) -> dict[str, str]:
+    if not isinstance(values, dict):
+        raise SceneFormatError(where, "attributes must be an object")
+    return {str(key): str(value) for key, value in values.items()}
 
 
 def _lens(values: Any, where: str) -> Lens | None:
@@ -157,12 +172,12 @@ def _lens(values: Any, where: str) -> Lens | None:
         if model not in ("opencv", "fisheye") or not np.isfinite(coefficients).all():
             raise ValueError(f"model {model!r} must be opencv or fisheye, and its coefficients finite")
         return Lens(model, coefficients)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise SceneFormatError(where, f"lens can't be read ({error})") from None
 
 
 def _number(value: Any, where: str, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST:
         raise SceneFormatError(where, f"{name} must be a finite number, not {value!r}")
     return float(value)
 

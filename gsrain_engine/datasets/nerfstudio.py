@@ -36,7 +36,7 @@ _MODELS: dict[str, Literal["opencv", "fisheye"]] = {
     "FISHEYE": "fisheye",
 }
 _DEPTH_UNIT_M = 1e-3
-_WRONG = (KeyError, TypeError, ValueError)
+_WRONG = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
 
 
 def recognizes_nerfstudio(path: Path) -> bool:
@@ -144,7 +144,8 @@ def _lens(frame: dict[str, Any]) -> Lens | None:
 
 def _depth(file: Path, unit: float) -> Float32[np.ndarray, "h w"]:
     stored = read_floats(file) if file.suffix == ".npy" else read_stored(file).astype(np.float32)
-    depth = (stored[..., 0] if stored.ndim == 3 else stored) * np.float32(unit)
+    with np.errstate(over="ignore", invalid="ignore"):
+        depth = (stored[..., 0] if stored.ndim == 3 else stored) * np.float32(unit)
     if depth.ndim != 2:
         raise CaptureError(f"{file}: depth has the shape {stored.shape}, expected rows and columns")
     return np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)

@@ -2,8 +2,10 @@
 
 import difflib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+from gsrain_engine.extensions import CAPTURE_FORMATS, Extension, loaded, say_once
 
 from .bdd100k import read_bdd100k, recognizes_bdd100k
 from .capture import Capture, CaptureError
@@ -62,8 +64,10 @@ def open_capture(path: Path | str) -> Capture:
         raise CaptureError(f"{path}: {_why_not(path)}")
     try:
         return found.read(path)
-    except CaptureError:
-        raise
+    except CaptureError as error:
+        if path.name in str(error):
+            raise
+        raise CaptureError(f"{path}: {error}") from None
     except (*WRONG_VALUES, OSError, MemoryError, RecursionError) as error:
         raise CaptureError(f"{path}: can't be read as {found.name}: {what_is_wrong(error)}") from error
 
@@ -71,7 +75,7 @@ def open_capture(path: Path | str) -> Capture:
 def capture_format(path: Path | str) -> CaptureFormat | None:
     """Which kind of capture a path holds; None where it is none that is known."""
     path = Path(path)
-    able = FORMATS if path.exists() else tuple(each for each in FORMATS if each.names_inside)
+    able = _formats() if path.exists() else tuple(each for each in _formats() if each.names_inside)
     try:
         return next((each for each in able if each.recognizes(path)), None)
     except OSError:
@@ -85,4 +89,25 @@ def _why_not(path: Path) -> str:
         beside = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
         close = difflib.get_close_matches(path.name, beside, n=1)
         return "no such file or folder" + (f"; did you mean {close[0]}?" if close else "")
-    return f"not a capture that is known; expected one of {', '.join(each.name for each in FORMATS)}"
+    return f"not a capture that is known; expected one of {', '.join(each.name for each in _formats())}"
+
+
+def _formats() -> tuple[CaptureFormat, ...]:
+    """Ours and those of installed packages, which come before folders that only hold pictures."""
+    *ours, pictures = FORMATS
+    return (*ours, *(_guarded(*each) for each in loaded(CAPTURE_FORMATS, CaptureFormat)), pictures)
+
+
+def _guarded(extension: Extension, row: CaptureFormat) -> CaptureFormat:
+    """Pass over a format of others that fails at looking: it is asked about every path."""
+
+    def recognizes(path: Path) -> bool:
+        try:
+            return row.recognizes(path)
+        except OSError:
+            raise
+        except Exception as error:  # whatever others raise
+            say_once(str(extension.unfit(error)))
+            return False
+
+    return replace(row, recognizes=recognizes)

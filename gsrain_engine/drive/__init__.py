@@ -1,0 +1,1 @@
+"""A driver in a closed loop with scene and rain."""

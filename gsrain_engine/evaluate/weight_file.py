@@ -1,7 +1,6 @@
 """Weights of networks in files: arrays by name, read without running anything that a file holds."""
 
 import hashlib
-import zipfile
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
@@ -9,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from gsrain_engine.array_archives import read_archive
 from gsrain_engine.datasets.files.safe_pickle import read_pickle
+from gsrain_engine.printable import printable
 from gsrain_engine.scene.atomic_files import whole_file
 
 SUFFIXES = (".npz", ".safetensors", ".ckpt", ".pth", ".pt")
@@ -26,10 +27,9 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         raise FileNotFoundError(f"{path}: no such file")
     if path.suffix == ".npz":
         try:
-            with np.load(path, allow_pickle=False) as archive:
-                return dict(archive)
-        except (ValueError, OSError, zipfile.BadZipFile) as error:
-            raise ValueError(f"{path}: not a readable .npz: {error}") from error
+            return read_archive(path)
+        except (ValueError, OSError) as error:
+            raise ValueError(f"{path}: not a readable .npz: {printable(error)}") from None
     if path.suffix == ".safetensors":
         return _safetensors(path)
     if path.suffix == ".ckpt":
@@ -73,7 +73,7 @@ def _safetensors(path: Path) -> dict[str, np.ndarray]:
     try:
         return load(path)
     except Exception as error:  # its error class is not public
-        raise ValueError(f"{path}: not a readable .safetensors: {error}") from error
+        raise ValueError(f"{path}: not a readable .safetensors: {printable(error)}") from None
 
 
 def _torch_state(path: Path) -> dict[str, np.ndarray]:
@@ -86,7 +86,7 @@ def _torch_state(path: Path) -> dict[str, np.ndarray]:
         return {name: tensor.float().numpy() for name, tensor in state.items()}
     except Exception as error:  # torch fails in many ways; its words are the finding
         first = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"{path}: not a readable file of torch weights: {first}") from error
+        raise ValueError(f"{path}: not a readable file of torch weights: {printable(first)}") from None
 
 
 def _flat(tree: Any, prefix: str = "") -> list[tuple[str, np.ndarray]]:

@@ -99,9 +99,9 @@ def load_calibration(name: str) -> Calibration:
     return load_config(_FOLDER, name, Calibration, "calibration")
 
 
-def save_calibration(calibration: Calibration, path: Path) -> None:
+def save_calibration(calibration: Calibration, path: Path | str) -> None:
     """Write a calibration file, whole or not at all."""
-    with whole_file(path) as beside:
+    with whole_file(Path(path)) as beside:
         text = yaml.safe_dump(
             msgspec.to_builtins(calibration), sort_keys=False, default_flow_style=None, allow_unicode=True, width=120
         )

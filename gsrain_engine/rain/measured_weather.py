@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from .disdrometer.reading import Reading
-from .weather import HEAVIEST_MM_H, Weather, from_series
+from .weather import HEAVIEST_MM_H, LONGEST_S, Weather, from_series
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -39,8 +39,8 @@ def from_spectra(reading: Reading, *, speed_up: float = 1.0, start_s: float = 0.
 
     The rate is the instrument's own, else that of the drops it counted. The first key stands at `start_s`; time goes
     by `speed_up` times as fast as it did. A file with one rate and no time, as RainSense's, is one key. Rates above
-    100 mm/h are cut off there. Raises `ValueError` where no record has a time and a rate, or for a speed-up that is
-    not above 0.
+    100 mm/h are cut off there. Raises `ValueError` where no record has a time and a rate, for a speed-up that is not
+    above 0, or where they last longer than a weather may.
     """
     if not (np.isfinite(speed_up) and speed_up > 0):
         raise ValueError(f"speed-up {speed_up:g}: must be above 0")
@@ -57,6 +57,11 @@ def from_spectra(reading: Reading, *, speed_up: float = 1.0, start_s: float = 0.
     usable[usable] = _rising(times[usable])
     times, rates = times[usable], rates[usable]
     times = start_s + (times - times[0]) / speed_up
+    if times[-1] > LONGEST_S:
+        raise ValueError(
+            f"{spectra.instrument}: records over {times[-1]:.3g} s, a weather lasts {LONGEST_S:g} s at most: one "
+            "of them has a wrong time, or the file is to be split"
+        )
     return MeasuredWeather(
         weather=from_series(times, rates),
         records=len(times),

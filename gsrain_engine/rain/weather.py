@@ -22,7 +22,8 @@ KEYED: tuple[Keyed, ...] = ("intensity_mm_h", "wind_m_s", "exposure_s")
 HEAVIEST_MM_H = 100.0
 """Nothing rains harder here: measured series are cut off there."""
 
-_LONGEST_S = 1e7
+LONGEST_S = 1e7
+"""The last time that a key can have; the first is as long before 0."""
 
 
 class WeatherKey(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -35,7 +36,7 @@ class WeatherKey(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     def __post_init__(self) -> None:
         intensity, wind, exposure = self.intensity_mm_h, self.wind_m_s, self.exposure_s
-        if not -_LONGEST_S <= self.time_s <= _LONGEST_S:
+        if not -LONGEST_S <= self.time_s <= LONGEST_S:
             raise ValueError(f"time_s must be within -1e7..1e7 s, got {self.time_s}")
         if intensity is not None and not 0 <= intensity <= HEAVIEST_MM_H:
             raise ValueError(f"intensity_mm_h must be within 0..100 mm/h, got {intensity}")

@@ -1,0 +1,1 @@
+"""Gaussians fitted to captures, and recoloured to given views."""

@@ -2,15 +2,12 @@
 
 from collections.abc import Generator, Sequence
 
-import cv2
-import numpy as np
-from jaxtyping import Float32, UInt8
-
 from gsrain_engine.appearance.clear_view import ClearView
 from gsrain_engine.appearance.transfer import Transfer
-from gsrain_engine.scene.progress import Progress
+from gsrain_engine.scene.progress import Progress, part_of
 from gsrain_engine.scene.scene import Scene
 
+from .recoloring.preview import small_picture
 from .recoloring.recolor_scene import recolor_scene
 from .recoloring.recolored_scene import with_colors
 from .recoloring.settings import RecolorSettings
@@ -21,7 +18,6 @@ QUICK = RecolorSettings(iterations=10, rounds=1, sh_degree=1, tikhonov=0.3, expo
 
 _VIEWS_DONE = 0.7
 """Share of the whole time, measured on the built-in street with the wet look."""
-_PREVIEW_WIDTH_PX = 320
 
 
 def rainy_scene(
@@ -50,13 +46,8 @@ def rainy_scene(
     if not len(views):
         raise ValueError("a scene needs at least one view to become rainy")
     targets = yield from _transferred(views, transfer)
-    solving = recolor_scene(scene, targets, [], settings)
-    while True:
-        try:
-            progress = next(solving)
-        except StopIteration as finished:
-            return with_colors(scene, finished.value.colors)
-        yield progress._replace(fraction=_VIEWS_DONE + (1 - _VIEWS_DONE) * progress.fraction)
+    recolored = yield from part_of(recolor_scene(scene, targets, [], settings), _VIEWS_DONE, 1.0)
+    return with_colors(scene, recolored.colors)
 
 
 def _transferred(views: Sequence[ClearView], transfer: Transfer) -> Generator[Progress, None, list[TargetView]]:
@@ -69,10 +60,4 @@ def _transferred(views: Sequence[ClearView], transfer: Transfer) -> Generator[Pr
         if made is None:
             return targets
         targets.append(TargetView(made.clear.name, made.clear.camera, made.clear.time_s, made.image))
-        preview = _small(made.image)
-
-
-def _small(picture: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
-    shrink = min(1.0, _PREVIEW_WIDTH_PX / picture.shape[1])
-    small = cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
-    return np.rint(np.clip(small, 0, 1) * np.float32(255)).astype(np.uint8)
+        preview = small_picture(made.image)

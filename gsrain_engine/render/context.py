@@ -29,9 +29,10 @@ def open_context(source: ContextSource = "auto") -> moderngl.Context:
             return openers[name]()
         except Exception as error:  # drivers fail in their own ways: whatever they say goes into the message
             tried.append(f"{name}: {error}")
+    packages = "libosmesa6" if source == "osmesa" else "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
     raise NoOpenGLError(
         "no OpenGL 4.3 without a window (" + "; ".join(tried) + "). On Debian: "
-        "apt-get install --no-install-recommends libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
+        f"apt-get install --no-install-recommends {packages}"
     )
 
 

@@ -25,4 +25,7 @@ class Frame:
 
     def to_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
         """8-bit picture over a plain background, rounded to nearest."""
-        return np.rint(np.clip(self.over(background), 0, 1) * 255).astype(np.uint8)
+        shown = self.over(background)
+        np.clip(shown, 0, 1, out=shown)  # in place: every video frame comes through here
+        shown *= 255
+        return np.rint(shown, out=shown).astype(np.uint8)

@@ -11,6 +11,8 @@ from jaxtyping import Float32, UInt8, UInt32
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.mask import Mask
 
+from .gpu_memory import reserved
+
 CHUNK = 1 << 19
 """Gaussians a buffer: at SH degree 3 that is 96 MiB, below the 128 MiB that a storage block may have on llvmpipe."""
 
@@ -100,7 +102,10 @@ class GpuArrays:
             array.is_awaited = False
 
     def upload(self, gaussians: Gaussians, slice_size: int = CHUNK, *, wet_sh: WetColors = None) -> Iterator[float]:
-        """Upload a set slice by slice; yields the fraction done after each, so that frames can go between them."""
+        """Upload a set slice by slice; yields the fraction done after each, so that frames can go between them.
+
+        Raises `MemoryError` where the graphics card has no room for it.
+        """
         missing = [sources for sources in _sources(gaussians, wet_sh) if tuple(map(id, sources)) not in self._arrays]
         steps = max(1, sum(-(-len(gaussians) // slice_size) for _ in missing))
         done = 0
@@ -110,7 +115,7 @@ class GpuArrays:
                 for _ in self._written(array, slice_size):
                     done += 1
                     yield done / steps
-            except GeneratorExit:
+            except BaseException:  # nobody waits for it any more, or the card is full
                 self._leave(array)
                 raise
             if key in self._arrays:  # a frame could not wait for it
@@ -122,7 +127,7 @@ class GpuArrays:
         """Make an array's buffers and fill them, a slice at each step."""
         count, row_bytes = len(array.sources[0]), self._packed(array.sources, slice(0, 1)).shape[1]
         for start in range(0, count, CHUNK):
-            array.buffers.append(self._context.buffer(reserve=row_bytes * min(CHUNK, count - start)))
+            array.buffers.append(reserved(self._context, row_bytes * min(CHUNK, count - start)))
         for start in range(0, count, slice_size):
             for at in range(start, min(start + slice_size, count), CHUNK):
                 stop = min(at + CHUNK - at % CHUNK, start + slice_size, count)
@@ -179,6 +184,14 @@ class GpuArrays:
         keys = {tuple(map(id, sources)) for each in kept for sources in _sources(*each)}
         for key in [key for key in self._arrays if key not in keys]:
             self._leave(self._arrays.pop(key))
+
+    def release_everything(self) -> None:
+        """Free all of it at once. No upload may be under way."""
+        self.release_all_but(())
+        for key in list(self._marks):
+            self._leave(self._marks.pop(key))
+        while self._leaving:
+            self._leaving.pop().release()
 
     def _leave(self, array: _Array) -> None:
         self._leaving += array.buffers

@@ -17,9 +17,16 @@ _PALETTE_COLORS = 255
 """Labels that fit into an indexed picture of 8 bits, besides 0."""
 
 
-def write_picture(path: Path, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
-    """Write an 8-bit picture as PNG."""
-    _write_png(path, Image.fromarray(pixels))
+def write_picture(path: Path | str, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
+    """Write an 8-bit picture as PNG; missing folders are made."""
+    _write_png(Path(path), Image.fromarray(pixels))
+
+
+def write_sheet(path: Path, image: Image.Image) -> None:
+    """Write a picture for people in the format that its name says; PNG where that says none."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as beside:
+        image.save(beside, format=Image.registered_extensions().get(path.suffix.lower(), "PNG"))
 
 
 def write_depth(path: Path, depth_m: Float32[np.ndarray, "h w"]) -> None:

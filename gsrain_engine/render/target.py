@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 import moderngl
 
+from .gpu_memory import check_gpu_memory
+
 
 class TargetLayout(NamedTuple):
     """What a target holds; the fragment shader's locations 0, 1, 2."""
@@ -27,13 +29,14 @@ class Target:
 
     @classmethod
     def make(cls, context: moderngl.Context, layout: TargetLayout) -> "Target":
-        """Make the textures of a layout."""
+        """Make the textures of a layout; raises `MemoryError` where the graphics card has no room for them."""
         color = context.texture(layout.size, 4, dtype=layout.dtype)
         color.filter = moderngl.NEAREST, moderngl.NEAREST
         # Without rain the second attachment only keeps the third one's place.
         with_shares = layout.shares or layout.depth
         shares = context.texture(layout.size, 2, dtype=layout.dtype) if with_shares else None
         depth = context.texture(layout.size, 2, dtype="f4") if layout.depth else None
+        check_gpu_memory(context, 16 * layout.size[0] * layout.size[1])
         attachments = [each for each in (color, shares, depth) if each is not None]
         return cls(layout, color, shares, depth, context.framebuffer(attachments))
 

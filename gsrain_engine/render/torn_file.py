@@ -11,7 +11,7 @@ class TornFile:
 
     def __init__(self, path: Path) -> None:
         """Open a file for writing, without a buffer: what is written survives the process."""
-        self._file = path.open("wb", buffering=0)
+        self._path, self._file = path, path.open("wb", buffering=0)
         self._position = self._end = 0
         self.error: OSError | None = None
 
@@ -29,7 +29,7 @@ class TornFile:
                 while rest:
                     rest = rest[self._file.write(rest) :]
             except OSError as error:
-                self.error = error
+                self.error = OSError(error.errno, error.strerror, str(self._path))
         self._position += len(data)
         self._end = max(self._end, self._position)
         return len(data)

@@ -56,4 +56,4 @@ def _weighted_quantiles(
     order = np.argsort(values)
     summed = np.cumsum(weights[order])
     index = np.searchsorted(summed, np.array(shares) * summed[-1])
-    return values[order][np.minimum(index, len(values) - 1)].astype(np.float64)
+    return values[order[np.minimum(index, len(values) - 1)]].astype(np.float64)

@@ -1,6 +1,5 @@
 """A pinhole camera with OpenCV axes (x right, y down, z forward)."""
 
-import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -9,9 +8,13 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from .errors import SceneFormatError
+from .json_file import read_json
 
 DEFAULT_EXPOSURE_S = 0.004
 """Daylight shutter of driving cameras: 2.6-3.9 ms in a Waymo sample frame, rounded up."""
+
+_FARTHEST = 1e12
+"""Larger numbers are those of damaged files: their squares would soon be none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,20 +105,23 @@ class Camera:
             raise SceneFormatError(source, f"camera has no field {error.args[0]!r}") from None
         except SceneFormatError:
             raise
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise SceneFormatError(source, f"camera field can't be read as a number: {error}") from None
         camera._check(source)
         return camera
 
     def _check(self, source: Path | str) -> None:
         rotation = self.world_to_camera[:3, :3]
-        if not np.isfinite(self.world_to_camera).all():
-            raise SceneFormatError(source, "world_to_camera must be a finite 4x4 matrix")
+        if not np.abs(self.world_to_camera).max() < _FARTHEST:
+            raise SceneFormatError(
+                source, f"world_to_camera must be a finite 4x4 matrix of numbers below {_FARTHEST:g}"
+            )
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
             raise SceneFormatError(source, "world_to_camera must hold a rotation without scale or mirroring")
         if not (1 <= self.width <= 16384 and 1 <= self.height <= 16384):
             raise SceneFormatError(source, f"size {self.width}x{self.height} must be within 1..16384 px")
-        if not all(np.isfinite(v) for v in (self.fx, self.fy, self.cx, self.cy)) or self.fx <= 0 or self.fy <= 0:
+        pixels = (self.fx, self.fy, self.cx, self.cy)
+        if not all(abs(v) < _FARTHEST for v in pixels) or min(self.fx, self.fy) < 1 / _FARTHEST:
             raise SceneFormatError(source, "fx, fy must be above 0 and fx, fy, cx, cy finite")
         if not 0 < self.exposure_s <= 10:
             raise SceneFormatError(source, f"exposure_s {self.exposure_s} must be above 0 and at most 10 s")
@@ -139,10 +145,7 @@ def look_at(
 
 def read_camera(path: Path | str) -> Camera:
     """Read a camera file (JSON: width, height, fx, fy, cx, cy, world_to_camera)."""
-    try:
-        values = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise SceneFormatError(path, f"not a JSON file: {error}") from None
+    values = read_json(path)
     if not isinstance(values, dict):
         raise SceneFormatError(path, "a camera file holds one JSON object")
     return Camera.from_json(values, path)

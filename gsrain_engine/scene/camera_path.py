@@ -16,6 +16,10 @@ from .rotations import matrices_from_quaternions, quaternions_from_matrices
 _KEYS_OF_A_CIRCLE = 12
 """A spline through so many keys is off the circle by 0.02 % of its radius."""
 
+_SHORTEST_S, _NARROWEST_DEG, _FARTHEST = 1e-9, 1e-4, 1e12
+"""Times that are nearer to each other, narrower views and larger numbers are those of damaged files."""
+_NOT_UNIT = 1e-3
+
 
 @dataclass(frozen=True, eq=False)
 class CameraPath:
@@ -34,7 +38,19 @@ class CameraPath:
     """Fly from the last key on to the first, in as long as the other intervals take on average, and so on for ever."""
 
     def __post_init__(self) -> None:
-        if len(self.times_s) == 0 or np.any(np.diff(self.times_s) <= 0):
+        keys = len(self.times_s)
+        arrays = (self.times_s, self.positions, self.quaternions_wxyz, self.vertical_fov_deg)
+        if [len(array) for array in arrays] != [keys] * 4:
+            raise ValueError("a camera path needs a place, a rotation and a field of view for each of its times")
+        if not all(np.isfinite(array).all() for array in arrays):
+            raise ValueError("a keyframe holds a number that is not finite")
+        if not max((np.abs(array).max(initial=0) for array in arrays), default=0) < _FARTHEST:
+            raise ValueError(f"a keyframe holds a number above {_FARTHEST:g}")
+        if not (np.abs(np.linalg.norm(self.quaternions_wxyz, axis=1) - 1) < _NOT_UNIT).all():
+            raise ValueError("a keyframe holds a rotation that is none: its quaternion must not be 0")
+        if keys and not (self.vertical_fov_deg.min() > _NARROWEST_DEG and self.vertical_fov_deg.max() < 180):
+            raise ValueError("the vertical field of view must be above 0 and below 180 degrees")
+        if keys == 0 or np.any(np.diff(self.times_s) < _SHORTEST_S):
             raise ValueError("a camera path needs at least one keyframe, with rising times")
 
     @classmethod

@@ -59,6 +59,22 @@ def locked(path: Path) -> Generator[None]:
         os.close(handle)
 
 
+@contextmanager
+def locked_if_free(path: Path) -> Generator[bool]:
+    """Hold the lock of a file or folder that exists, unless somebody else does; says which.
+
+    Where the system or the disk knows no locks, it looks free.
+    """
+    if fcntl is None:
+        yield True
+        return
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        yield _lock(handle, waiting=False)
+    finally:
+        os.close(handle)
+
+
 def _lock(handle: int, *, waiting: bool) -> bool:
     """Lock an open file; False when somebody else has it. A disk that knows no locks lets everybody in."""
     try:

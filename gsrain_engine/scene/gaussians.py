@@ -79,11 +79,15 @@ class Gaussians:
 
     @staticmethod
     def concatenate(parts: Sequence["Gaussians"]) -> "Gaussians":
-        """Join sets in order; lower SH degrees are padded with zeros to the highest one."""
-        if not parts:
-            return Gaussians.empty()
+        """Join sets in order; lower SH degrees are padded with zeros to the highest one. One set alone comes back."""
+        if len(parts) < 2:
+            return parts[0] if parts else Gaussians.empty()
         k = max(part.sh.shape[1] for part in parts)
-        padded = [np.pad(part.sh, ((0, 0), (0, k - part.sh.shape[1]), (0, 0))) for part in parts]
+        missing = [k - part.sh.shape[1] for part in parts]
+        padded = [
+            np.pad(part.sh, ((0, 0), (0, more), (0, 0))) if more else part.sh
+            for part, more in zip(parts, missing, strict=True)
+        ]
         return Gaussians(
             np.concatenate([part.means for part in parts]),
             np.concatenate([part.scales for part in parts]),

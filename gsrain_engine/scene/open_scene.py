@@ -16,6 +16,7 @@ from gsrain_engine.scene.drawing_order import put_into_drawing_order
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.formats.known_files import KnownFiles
+from gsrain_engine.scene.formats.scene_files import SOG_FILE
 from gsrain_engine.scene.formats.scene_folder import SCENE_FILE, is_in_drawing_order
 from gsrain_engine.scene.marks import UNMARKED, Marks
 from gsrain_engine.scene.mask import Mask
@@ -29,15 +30,15 @@ logger = logging.getLogger("gsrain")
 STREET = "street"
 
 
-def open_scene(name: str | None, known: KnownFiles | None = None) -> Scene:
-    """Read a scene; none, or "street" where no such file stands, is the built-in street.
+def open_scene(name: Path | str | None, known: KnownFiles | None = None) -> Scene:
+    """Read a scene; none, or "street" where no scene of that name stands, is the built-in street.
 
     `known` learns which Gaussians the files of a scene folder hold. Raises `SceneFormatError` for what can't be read.
     """
     return cached_street() if is_built_in(name) else read_scene(Path(str(name)), known)
 
 
-def open_to_draw(name: str | None, known: KnownFiles | None = None) -> Scene:
+def open_to_draw(name: Path | str | None, known: KnownFiles | None = None) -> Scene:
     """Read a scene as `open_scene` does, and bring the Gaussians of each layer into their drawing order."""
     scene = open_scene(name, known)
     if is_built_in(name):  # the street is kept in that order
@@ -75,9 +76,16 @@ def cached_street() -> Scene:
     return read_scene(folder)  # so that the first run shows the very numbers of every later one
 
 
-def is_built_in(name: str | None) -> bool:
-    """Whether a name means the built-in street."""
-    return name is None or (name == STREET and not Path(name).exists())
+def is_built_in(name: Path | str | None) -> bool:
+    """Whether a name means the built-in street.
+
+    A folder of that name which is no scene, such as `gsrain street street` writes, does not stand in its way.
+    """
+    return name is None or (name == STREET and not _is_scene(Path(name)))
+
+
+def _is_scene(path: Path) -> bool:
+    return path.is_file() or scene_folder_of(path) is not None or (path / SOG_FILE).is_file()
 
 
 def _put_into_order(scene: Scene) -> Scene:

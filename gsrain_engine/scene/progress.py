@@ -29,3 +29,13 @@ def finished(work: Generator[Progress, None, _Result], tell: Callable[[Progress]
             return end.value
         if tell is not None:
             tell(step)
+
+
+def part_of(work: Generator[Progress, None, _Result], first: float, last: float) -> Generator[Progress, None, _Result]:
+    """Do a piece of work as a part of a whole, of which it takes the share from `first` to `last` (0 to 1)."""
+    while True:
+        try:
+            step = next(work)
+        except StopIteration as end:
+            return end.value
+        yield step._replace(fraction=first + (last - first) * step.fraction)

@@ -1,4 +1,4 @@
-"""`gsrain bench render` on tiny scenes: every row, every number, what follows from them, and bad input."""
+"""`gsrain bench` on tiny scenes: every row, every number, what follows from them, and bad input."""
 
 import json
 
@@ -94,3 +94,45 @@ def test_bad_input_ends_with_one_line_and_code_2(capsys, options, words):
     assert "\n" not in said
     assert said.startswith("gsrain: ")
     assert words in said
+
+
+def test_loading_says_how_long_each_format_takes(tmp_path):
+    file = tmp_path / "loading.json"
+    assert run(["bench", "loading", "--scenes", "random-2k", "--repeats", "2", "--json", str(file)]) == 0
+    rows = {row["format"]: row for row in json.loads(file.read_text())["rows"]}
+    assert list(rows) == ["folder", ".ply", ".splat", ".spz"]
+    for row in rows.values():
+        assert (row["scene"], row["gaussians"], row["sh_degree"]) == ("random-2k", 2000, 0)
+        assert row["bytes_ms_min"] > 0 and 0 < row["read_ms_min"] <= row["read_ms_median"] and row["write_ms"] > 0
+        assert row["ns_per_gaussian"] == pytest.approx(1e6 * row["read_ms_median"] / 2000)
+    assert rows[".splat"]["megabytes"] == pytest.approx(2000 * 32e-6)  # 32 bytes each
+    assert rows["folder"]["megabytes"] > rows[".ply"]["megabytes"] > rows[".splat"]["megabytes"]
+
+
+def test_recoloring_says_how_long_each_stage_takes(tmp_path):
+    file = tmp_path / "recoloring.json"
+    write_scene(small_scene(), tmp_path / "small")
+    words = ["--scenes", f"random-2k,{tmp_path / 'small'}", "--views", "2", "--size", "48x32", "--iterations", "4"]
+    assert run(["bench", "recoloring", *words, "--json", str(file)]) == 0
+    rows = json.loads(file.read_text())["rows"]
+    assert [(row["scene"], row["views"], row["width"], row["iterations"]) for row in rows] == [
+        ("random-2k", 2, 48, 4), ("small", 2, 48, 4)]  # fmt: skip
+    for row in rows:
+        assert row["seconds"] == pytest.approx(sum(row["stages_s"].values()))
+        assert row["iteration_ms"] == pytest.approx(250 * row["stages_s"]["solving"])
+        assert 0 < row["seen"] <= row["gaussians"]
+        assert row["psnr_db"] > row["psnr_before_db"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["loading", "--formats", ".sog"], "--formats .sog: expected folder, .ply, .splat, .spz"),
+        (["loading", "--repeats", "0"], "--repeats 0: must be within 1..1000"),
+        (["recoloring", "--views", "0"], "--views 0: must be within 1..1000"),
+        (["recoloring", "--iterations", "0"], "--iterations 0: Expected `int` >= 1"),
+    ],
+)
+def test_what_can_not_be_timed_is_said(words, said, capsys):
+    assert run(["bench", *words]) == BAD_INPUT
+    assert said in capsys.readouterr().err

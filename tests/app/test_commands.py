@@ -1,6 +1,7 @@
 """Each command as a person runs it, on small input."""
 
 import json
+import logging
 import os
 import signal
 import subprocess
@@ -149,10 +150,56 @@ def test_info_reports_what_is_in_a_scene(room, tmp_path, capsys):
     assert "900" in capsys.readouterr().out
 
 
+def test_libraries_keep_their_news_to_themselves(monkeypatch, capsys):
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+    levels = {name: logging.getLogger(name).level for name in ("", "gsrain", "gsrain_engine", "app")}
+    try:
+        assert run(["--version"]) == 0
+        logging.getLogger("matplotlib.font_manager").info("generated new fontManager")
+        logging.getLogger("gsrain").info("the scene was opened")
+        assert capsys.readouterr().err == "the scene was opened\n"
+    finally:
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)
+
+
+def test_convert_says_which_way_is_up_and_how_long_a_metre_is(room, tmp_path):
+    before = read_scene(room).layers[0].gaussians.means
+    options = ["--up", "z", "--metres-per-unit", "2.5"]
+    assert run(["convert", str(room), str(tmp_path / "folder"), *options]) == 0
+    said = read_scene(tmp_path / "folder")
+    assert (said.up, said.metres_per_unit) == ((0.0, 0.0, 1.0), 2.5)
+    np.testing.assert_array_equal(said.layers[0].gaussians.means, before)
+    assert run(["convert", str(room), str(tmp_path / "baked.ply"), *options]) == 0
+    baked = read_scene(tmp_path / "baked.ply").layers[0].gaussians.means
+    x, y, z = before.T  # what was up, z, is now where files have it: -y
+    np.testing.assert_allclose(baked[:, 1], -2.5 * z, rtol=1e-5)
+    np.testing.assert_allclose(np.hypot(baked[:, 0], baked[:, 2]), 2.5 * np.hypot(x, y), rtol=1e-5)
+
+
+def test_convert_levels_by_the_ground(tmp_path, capsys):
+    rng = np.random.default_rng(3)
+    n, f = 4000, np.float32
+    flat = np.column_stack([rng.uniform(-20, 20, n), rng.uniform(-20, 20, n), np.zeros(n)])
+    lean = np.array([[1, 0, 0], [0, np.cos(0.3), -np.sin(0.3)], [0, np.sin(0.3), np.cos(0.3)]])
+    ground = Gaussians(
+        (flat @ lean.T).astype(f),
+        np.full((n, 3), 0.2, f),
+        np.tile(np.array([1, 0, 0, 0], f), (n, 1)),
+        np.full(n, 0.95, f),
+        sh_from_color(np.full((n, 3), 0.4, f)),
+    )
+    write_scene(Scene("hill", (Layer("hill", ground),)), tmp_path / "hill")
+    assert run(["convert", str(tmp_path / "hill"), str(tmp_path / "level"), "--level"]) == 0
+    np.testing.assert_allclose(read_scene(tmp_path / "level").up, lean[:, 2], atol=1e-3)
+    assert "the ground" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("suffix", [".splat", ".spz", ".ply", ""])
 def test_convert_keeps_the_scene(room, tmp_path, suffix):
     target = tmp_path / f"wall2{suffix}"
-    assert run(["convert", str(room), str(target)]) == 0
+    assert run(["convert", str(room), str(target), "--json", str(tmp_path / "numbers.json")]) == 0
+    assert json.loads((tmp_path / "numbers.json").read_text()) == {"gaussians": 900, "left_out": 0}
     before, after = (read_scene(path).layers[0].gaussians for path in (room, target))
     assert len(after) == 900
     assert np.allclose(np.sort(after.means[:, 0]), np.sort(before.means[:, 0]), atol=1e-3)
@@ -216,6 +263,8 @@ def test_doctor_tells_which_lpips_weights_are_of_use(tmp_path, monkeypatch):
         (["render", "{room}", "-o", "a.png", "--colour", "red"], "--colour"),
         (["convert", "{room}", "{tmp}/wall.sog"], "wall.sog"),
         (["info", "{room}", "extra"], "extra"),
+        (["rendre", "{room}"], "rendre: no such command, and no such scene; did you mean gsrain render?"),
+        (["sweeep"], "sweeep: no such command, and no such scene; did you mean gsrain sweep?"),
         (["street", "{tmp}", "--rig", "mine"], "--rig mine: the street has"),
     ],
 )

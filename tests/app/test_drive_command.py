@@ -7,10 +7,10 @@ import av
 import pytest
 
 from app.command_line import BAD_INPUT, run
-from app.commands.driving import driver_options
+from app.commands.driving import drive_files, driver_options
 from gsrain_engine.drive.agents.constant_velocity import ConstantVelocityAgent
-from gsrain_engine.drive.scenario.scenario import load_scenario, scenario_names
-from gsrain_engine.drive.simulation.rollout_files import read_rollout
+from gsrain_engine.drive.rollouts.json_lines import read_rollout
+from gsrain_engine.drive.scenario.scenario_files import load_scenario, scenario_names
 from gsrain_engine.scene.formats import write_scene
 from small_scene import small_scene
 
@@ -98,6 +98,15 @@ def test_bad_input_gets_one_line(arguments, says, tmp_path, monkeypatch, capsys)
     assert says in said and said.count("\n") == 1
 
 
+def test_what_an_export_needs_is_told_before_the_drive(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(drive_files.EXPORTS, "mcap", "a_package_that_is_not_there")
+    assert drive("--export", "mcap") == BAD_INPUT
+    said = capsys.readouterr().err
+    assert "--export mcap needs a_package_that_is_not_there: pip install 'gsrain[drive]'" in said
+    assert said.count("\n") == 1 and not list(tmp_path.iterdir())
+
+
 def test_a_name_is_no_way_into_another_folder(scenario, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "odd.yaml").write_text(scenario.read_text().replace("name: standing", 'name: "../8.5 mm/h"'))
@@ -129,6 +138,21 @@ def test_what_was_driven_until_an_agent_failed_is_written(scenario, tmp_path, mo
     assert "agent constant-velocity: no such way" in capsys.readouterr().err
     rollout = read_rollout(tmp_path / "standing_constant-velocity_8.5mm_seed0.jsonl")
     assert (rollout.end, len(rollout.steps)) == ("stopped", 3)
+
+
+def test_a_driver_of_ones_own_may_fail_as_it_likes(scenario, tmp_path, capsys):
+    own = tmp_path / "mine.py"
+    own.write_text(
+        "from gsrain_engine.drive.agents.constant_velocity import ConstantVelocityAgent as Shipped\n"
+        "class Mine(Shipped):\n"
+        "    def plan(self, observation):\n"
+        "        return super().plan(observation) if observation.step < 2 else {}[observation.step]\n"
+    )
+    assert drive(scenario, "--agent", own, "-o", tmp_path, "--no-video") == BAD_INPUT
+    assert "agent constant-velocity: KeyError: 2 (mine.py, line 4)" in capsys.readouterr().err
+    assert len(read_rollout(tmp_path / "standing_constant-velocity_8.5mm_seed0.jsonl").steps) == 3
+    own.write_text(own.read_text().split("    def plan")[0] + "    def reset(self, seed, rig):\n        return 1 / 0\n")
+    assert drive(scenario, "--agent", f"{own}:Mine", "-o", tmp_path / "none", "--no-video") == BAD_INPUT
 
 
 def test_the_papers_scenarios_are_shipped():

@@ -41,7 +41,9 @@ def test_what_killed_windows_have_left_is_removed_and_what_living_ones_use_is_no
         assert alive.read_text() == "in use"
 
 
-def test_a_disk_that_refuses_costs_only_the_layout(tmp_path):
-    (tmp_path / "state").write_text("a file where the folder should be")
+def test_a_disk_that_takes_no_file_costs_the_layout_alone(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("no folder can be made in it")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
     with own_layout() as layout:
-        assert not layout.exists()
+        assert layout is None  # a path would end the window, which makes its folder
+    assert not (tmp_path / "config").exists()

@@ -118,7 +118,10 @@ def test_recorded_cameras_of_a_scene_are_those_of_its_capture(files, tmp_path):
         ({"SOURCE": "nowhere"}, "nowhere: no such file or folder"),
         ({"--method": "dry"}, "no transfer method 'dry'"),
         ({"--method": "images"}, "--method images needs --images"),
-        ({"--method": "cyclegan-turbo"}, "--method cyclegan-turbo needs torch"),
+        (
+            {"--method": "cyclegan-turbo"},
+            "--method cyclegan-turbo needs torch, which is not installed: pip install 'gsrain[diffusion]'",
+        ),
         ({"--method": "cyclegan-turbo", "--weights": "no.pkl"}, "--weights no.pkl: no such file"),
         ({"--method": "cyclegan-turbo", "--weights": "scene/scene.json"}, "needs torch"),
         ({"--wetness": "2"}, "--wetness"),

@@ -72,6 +72,19 @@ def test_every_layout_gives_the_same_capture(tmp_path: Path, below: str, write) 
         assert capture[0].image.shape == (48, 64, 3)
 
 
+def test_pictures_may_lie_in_any_folder_of_the_capture(tmp_path: Path) -> None:
+    write_text(tmp_path / "sparse" / "0")
+    write_pictures(tmp_path / "drive" / "photos")
+    assert open_capture(tmp_path)[0].image.shape == (48, 64, 3)
+
+
+def test_where_pictures_belong_is_said(tmp_path: Path) -> None:
+    write_text(tmp_path / "own" / "sparse" / "0")
+    write_pictures(tmp_path / "photos")
+    with pytest.raises(CaptureError, match=r"none of its 2 images lies in .*own \(a\.png, say\); put .*ln -s FOLDER"):
+        open_capture(tmp_path / "own")
+
+
 @pytest.mark.parametrize(
     ("model", "parameters", "lens"),
     [

@@ -13,7 +13,8 @@ from gsrain_engine.evaluate.report.charts import chart, number, ticks
 from gsrain_engine.evaluate.report.comparison import WIDEST_PX, Comparison
 from gsrain_engine.evaluate.report.page import MOST_PICTURES, report_page
 from gsrain_engine.evaluate.report.pictures import LARGEST_ERROR, error_picture
-from gsrain_engine.evaluate.report.run_report import Curve, Figure, ReportTable, RunReport, write_report
+from gsrain_engine.evaluate.report.report_file import write_report
+from gsrain_engine.evaluate.report.run_report import Curve, Figure, ReportTable, RunReport
 
 _VOID = {"meta", "img", "input", "link", "br"}
 
@@ -184,7 +185,8 @@ def _full_disk(path: Path, *rest: object, **more: object) -> None:
 def test_tables_and_figures_of_any_kind_stand_first_and_are_escaped():
     red = np.zeros((4, 6, 3), np.uint8)
     red[..., 0] = 255
-    table = ReportTable("Scores <1>", ("who", "objects", "score"), (("a & b", 3, 0.51234), ("c", 4, None)), 2)
+    rows = (("a & b", 3, 0.51234), ("c", 4, None))
+    table = ReportTable("Scores <1>", ("who", "objects", "score"), rows, 2, definitions=("score: < 1", "who: & co."))
     report = RunReport("a run", {}, figures=(Figure("Curve", red, "why"),), tables=(table,), machine={})
     page = report_page(report)
     source = page.split('src="data:image/png;base64,')[1].split('"')[0]
@@ -194,3 +196,4 @@ def test_tables_and_figures_of_any_kind_stand_first_and_are_escaped():
     assert '<td class="word">a &amp; b</td>' in page
     assert '<td class="number" data-value="3.0">3</td><td class="number" data-value="0.51234">0.51</td>' in page
     assert "&ndash;" in page
+    assert '</table>\n<ul class="quiet"><li>score: &lt; 1</li><li>who: &amp; co.</li></ul>' in page

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from app.command_line import BAD_INPUT, run
+from gsrain_engine.backends import open_renderer
 from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rainfall import OVERCAST, Rainfall
 from gsrain_engine.raster import cuda_backend
@@ -15,7 +16,6 @@ from gsrain_engine.raster.cpu_renderer import CpuRenderer
 from gsrain_engine.raster.cuda_backend import NoCudaError
 from gsrain_engine.raster.depth_slabs import SLABS, cut_into_slabs
 from gsrain_engine.raster.projection import project
-from gsrain_engine.render.backends import open_renderer
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.scene_view import Shot, draw_shot
 from gsrain_engine.scene.camera import Camera, look_at

@@ -15,7 +15,7 @@ from gsrain_engine.reconstruct.density.adaptive import AdaptiveDensity, Adaptive
 from gsrain_engine.reconstruct.density.control import DensityControl  # noqa: E402
 from gsrain_engine.reconstruct.density.monte_carlo import MonteCarloDensity, MonteCarloSettings  # noqa: E402
 from gsrain_engine.reconstruct.density.relocation import MOST_COPIES, relocated  # noqa: E402
-from gsrain_engine.reconstruct.training.splat_parameters import SplatParameters  # noqa: E402
+from gsrain_engine.reconstruct.parameters.splat_parameters import SplatParameters  # noqa: E402
 
 
 def generator(seed: int = 0):

@@ -10,7 +10,7 @@ from gsrain_engine.reconstruct.beginning.shortened import LONGEST  # noqa: E402
 from gsrain_engine.reconstruct.density.control import DensityControl  # noqa: E402
 from gsrain_engine.reconstruct.density.free_space import ClearedDensity, FreeSpace, clear, shorten  # noqa: E402
 from gsrain_engine.reconstruct.density.monte_carlo import MonteCarloDensity, MonteCarloSettings  # noqa: E402
-from gsrain_engine.reconstruct.training.splat_parameters import SplatParameters  # noqa: E402
+from gsrain_engine.reconstruct.parameters.splat_parameters import SplatParameters  # noqa: E402
 
 from .drive_capture import drive_capture, world_depth  # noqa: E402
 from .random_splats import random_splats  # noqa: E402

@@ -12,6 +12,7 @@ from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Part
+from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.picture import live_view, sky_watch
 from gsrain_engine.session.picture.live_view import LiveView
 from gsrain_engine.session.picture.sky_watch import SkyWatch
@@ -168,6 +169,16 @@ def test_the_first_look_at_the_sky_is_at_once_and_the_next_a_picture_a_frame(ren
     assert found == sky_color(renderer, other, HERE)
     assert watch.look(renderer, other, HERE, resting=False) is None
     assert watch.is_through
+
+
+def test_only_a_scene_that_is_there_is_said_to_have_no_sky(renderer, caplog):
+    caplog.set_level("INFO", logger="gsrain")
+    watch, scene = SkyWatch(), small_scene()
+    watch.look(renderer, Scene("to be opened"), HERE, resting=False)
+    assert "shows no sky" not in caplog.text
+    walled = scene.with_member("layers/sky", visible=False).with_member("layers/wall", visible=False)
+    watch.look(renderer, walled, HERE, resting=True, at_once=True)
+    assert "shows no sky" in caplog.text
 
 
 def test_no_look_while_something_is_dragged_nor_when_only_the_selection_changes(renderer):

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from gsrain_engine.drive.agents.registry import open_agent
-from gsrain_engine.drive.scenario.scenario import Scenario, load_scenario
+from gsrain_engine.drive.rollouts.json_lines import read_rollout, write_rollout
+from gsrain_engine.drive.scenario.scenario import Scenario
+from gsrain_engine.drive.scenario.scenario_files import load_scenario
 from gsrain_engine.drive.simulation.drive import drive
-from gsrain_engine.drive.simulation.rollout_files import read_rollout, write_rollout
 from gsrain_engine.drive.simulation.simulation import Simulation
 from small_scene import small_scene
 from window_driver import Driver, imgui

@@ -66,14 +66,14 @@ def test_leaving_with_changes_asks_and_nothing_else_goes_on_meanwhile(driver):
         assert session.rain.intensity_mm_h == 8.5
         testing.capture(driver.ctx, str(driver.folder / "question.png"))
         driver.press(imgui.Key.escape)
-        assert session.question is None and not session.is_leaving
+        assert session.questions.present is None and not session.is_leaving
         driver.frames(3)
         testing.capture(driver.ctx, str(driver.folder / "none.png"))
         driver.window.ask_to_close()  # the cross of the window
         driver.frames(3)
         driver.ctx.item_click("//Unsaved changes/Cancel")
         driver.frames(3)
-        assert session.question is None and not session.is_leaving
+        assert session.questions.present is None and not session.is_leaving
         driver.press(chord(CTRL, imgui.Key.z))
         assert not session.has_changes
         driver.window.ask_to_close()
@@ -108,7 +108,7 @@ def test_what_was_kept_is_recovered_and_a_change_on_the_disk_is_asked_about(tmp_
 
     def script():
         session = driver.session
-        driver.until(lambda: session.question is not None)
+        driver.until(lambda: session.questions.present is not None)
         driver.frames(3)
         driver.ctx.item_click("//Recover unsaved changes/Recover")
         driver.until(lambda: session.has_changes and session.busy is None)

@@ -22,7 +22,7 @@ def test_matches_are_shown_over_the_recorded_view(tmp_path):
     (tmp_path / "shots").mkdir()
     driver = Driver(tmp_path / "shots", backend="opengl")
     session, captures = driver.session, driver.session.captures
-    matching = captures.matching
+    matching = session.matching
 
     def script():
         driver.ctx.window_focus("//Capture")
@@ -41,7 +41,7 @@ def test_matches_are_shown_over_the_recorded_view(tmp_path):
         assert matching.problem is None
         assert matching.shown.matched.to.name == "front_2"
         driver.frames()
-        assert captures.matching_texture is not None
+        assert matching.texture is not None
 
         # What lies over the picture is green where it matches, when a person asks which pixels do.
         driver.ctx.set_ref("//Capture/Matching")
@@ -74,6 +74,6 @@ def test_matches_are_shown_over_the_recorded_view(tmp_path):
         driver.press(imgui.Key.mod_shift | imgui.Key.m)
         assert not matching.is_on
         driver.frames()
-        assert captures.matching_texture is None
+        assert matching.texture is None
 
     driver.run(script)

@@ -49,10 +49,10 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path):
         driver.ctx.window_focus("//View")
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
         name_it(driver, "Record the timeline", target)
-        assert session.question.text == "clip.mp4 is there already."
+        assert session.questions.present.text == "clip.mp4 is there already."
         driver.ctx.item_click("//Replace?/Cancel")
         driver.frames()
-        assert (session.question, len(session.jobs)) == (None, 1)
+        assert (session.questions.present, len(session.jobs)) == (None, 1)
 
     driver.run(script)
     with av.open(str(target)) as container:

@@ -6,22 +6,11 @@ from imgui_bundle import imgui
 
 from gsrain_engine.session.session import Session
 
-from ..pages.file_dialogs import ask_what_to_open
+from ..panels.capture_dialogs import ask_for_capture_file, ask_for_capture_folder
 from ..shortcuts import chord
 from .action import Action
 
 _KEY = imgui.Key
-_FILES = "Captures{.json,.tfrecord,.pkl,.parquet},All files{.*}"
-
-
-def ask_for_capture_folder(session: Session) -> None:
-    """Show a dialog for the folder of a capture."""
-    ask_what_to_open("Open a capture (folder)", "", lambda chosen: session.captures.open(chosen[0]))
-
-
-def ask_for_capture_file(session: Session) -> None:
-    """Show a dialog for a capture that is one file."""
-    ask_what_to_open("Open a capture (file)", _FILES, lambda chosen: session.captures.open(chosen[0]))
 
 
 def _has_capture(session: Session) -> bool:
@@ -108,11 +97,11 @@ CAPTURE_ACTIONS = (
     ),
     Action(
         "Show matches with another view",
-        lambda session: setattr(session.captures.matching, "is_on", not session.captures.matching.is_on),
+        lambda session: setattr(session.matching, "is_on", not session.matching.is_on),
         "View",
         chord(_KEY.mod_shift, _KEY.m),
         "Find each pixel of what is looked at in another view of the capture, by its depth.",
         _has_capture,
-        lambda session: session.captures.matching.is_on,
+        lambda session: session.matching.is_on,
     ),
 )

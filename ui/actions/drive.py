@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from gsrain_engine.session.drive.chase import ChaseMode
+from gsrain_engine.session.edits.ego_drive import drive_along_own_path
 from gsrain_engine.session.session import Session
 
 from ..panels.drive_fields import ask_for_scenario
@@ -43,6 +44,9 @@ DRIVE_ACTIONS = (
     Action("Drive", lambda session: session.drives.start(session), "Drive", (),
            "Drive the scenario of the Drive panel through this scene, in the background.",
            lambda session: session.drives.why_not(session) is None),
+    Action("Ego drives along the path", lambda session: session.edit("Ego drive", drive_along_own_path), "Drive", (),
+           "For scenes without a recorded drive: the ego vehicle goes where the camera path goes, with a front camera.",
+           lambda session: session.scene.path is not None),
     Action("Open a scenario...", ask_for_scenario, "Drive", (), "Our YAML, HUGSIM's YAML, or OpenSCENARIO."),
     Action("Save the scenario...", lambda session: ask_where_to_save_scenario(session.drives.wanted), "Drive", (),
            "As YAML, with the changes of the Drive panel."),

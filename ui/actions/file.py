@@ -4,15 +4,14 @@ from pathlib import Path
 
 from imgui_bundle import imgui
 
+from gsrain_engine.scene.formats.gaussian_files import scene_suffixes
 from gsrain_engine.session.session import Session
 
-from ..pages.file_dialogs import ask_what_to_open, ask_where_to_save
-from ..pages.questions import SAVED_KINDS
 from ..shortcuts import chord
+from ..widgets.file_dialogs import SAVED_KINDS, ask_what_to_open, ask_where_to_save
 from .action import Action
 
 _KEY = imgui.Key
-_SCENES = "Scenes{.ply,.splat,.spz,.ksplat,.sog,.json},All files{.*}"
 
 
 def recent_files(session: Session) -> list[Path]:
@@ -20,12 +19,18 @@ def recent_files(session: Session) -> list[Path]:
     return session.files.recent
 
 
+def _scenes() -> str:
+    """Kinds of files that a dialog offers: the ends of all scene files, those of installed packages too."""
+    ends = dict.fromkeys(Path(f"scene{suffix}").suffix for suffix in scene_suffixes())
+    return f"Scenes{{{','.join(ends)}}},All files{{.*}}"
+
+
 def _chosen(path: Path) -> str:
     return str(path.parent if path.name == "scene.json" else path)
 
 
 def _ask_what_to_open(session: Session) -> None:
-    ask_what_to_open("Open a scene", _SCENES, lambda chosen: session.open(_chosen(chosen[0])))
+    ask_what_to_open("Open a scene", _scenes(), lambda chosen: session.open(_chosen(chosen[0])))
 
 
 def _ask_what_to_import(session: Session) -> None:
@@ -33,7 +38,7 @@ def _ask_what_to_import(session: Session) -> None:
         for path in chosen:
             session.files.import_from(_chosen(path))
 
-    ask_what_to_open("Import into this scene", _SCENES, take, several=True)
+    ask_what_to_open("Import into this scene", _scenes(), take, several=True)
 
 
 def _ask_where_to_save(session: Session) -> None:

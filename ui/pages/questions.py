@@ -5,9 +5,8 @@ from imgui_bundle import ImVec2, imgui
 from gsrain_engine.session.question import Answer, Question
 from gsrain_engine.session.session import Session
 
-from .file_dialogs import ask_where_to_save
+from ..widgets.file_dialogs import SAVED_KINDS, ask_where_to_save
 
-SAVED_KINDS = "Scene folders{.*},Scene files{.ply,.splat,.spz}"
 _WIDTH_EM = 34.0
 
 
@@ -16,7 +15,7 @@ def draw_questions(session: Session) -> None:
     wanted, session.files.place_wanted = session.files.place_wanted, None
     if wanted is not None:
         ask_where_to_save("Save the scene", SAVED_KINDS, lambda chosen: wanted(chosen[0]))
-    question = session.question
+    question = session.questions.present
     if question is None:
         return
     session.view.dialog = ""  # nothing else is on top of it
@@ -36,7 +35,7 @@ def draw_questions(session: Session) -> None:
         imgui.close_current_popup()
     imgui.end_popup()
     if given is not None:
-        session.answer(given)
+        session.questions.answer(given)
 
 
 def _given(question: Question) -> Answer | None:

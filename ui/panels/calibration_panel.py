@@ -10,8 +10,8 @@ from gsrain_engine.rain.calibration_curves import CalibrationCurves, calibration
 from gsrain_engine.session.calibrations import compare_calibration, use_calibration, use_fitted_calibration
 from gsrain_engine.session.session import Session
 
-from ..pages.file_dialogs import ask_what_to_open
 from ..widgets.fields import plain_label
+from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.plots import line, plot, points
 from .rain_panel import WARNING
 

@@ -6,7 +6,7 @@ from gsrain_engine.scene.scene import RigCamera
 from gsrain_engine.session.drive.mosaic import mosaic_rows
 from gsrain_engine.session.session import Session
 
-from .timeline.colors import BACKGROUND, OUTLINE, color
+from ..widgets.colors import BACKGROUND, OUTLINE, color
 
 _GAP = 3.0
 

@@ -6,11 +6,11 @@ from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.session.capture.view_pictures import THUMBNAIL_PX, Wish
 from gsrain_engine.session.session import Session
 
-from ..actions.capture import ask_for_capture_file, ask_for_capture_folder
+from ..widgets.colors import BACKGROUND, DIM, TEXT, color
+from .capture_dialogs import ask_for_capture_file, ask_for_capture_folder
 from .matching_fields import matching_fields
 from .rain_panel import WARNING
 from .reconstruct_fields import reconstruct_fields
-from .timeline.colors import BACKGROUND, DIM, TEXT, color
 
 _ICONS = icons_fontawesome_6
 _ROW_EM = 3.6

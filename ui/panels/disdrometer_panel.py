@@ -8,6 +8,7 @@ from gsrain_engine.session.session import Session
 
 from ..widgets.fields import plain_label
 from ..widgets.plots import line, plot
+from ..widgets.readings import readings
 from .rain_panel import WARNING
 
 _STEP_MM = 0.1
@@ -55,15 +56,7 @@ def _result(counted: CountedDrops) -> None:
             f"In the air. Asked for: {state.mean_diameter_mm:.3f} mm.",
         ),
     )
-    if imgui.begin_table("counted", 2, imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop):
-        for name, value, help_text in rows:
-            imgui.table_next_row()
-            imgui.table_next_column()
-            imgui.text(name)
-            imgui.set_item_tooltip(help_text)
-            imgui.table_next_column()
-            imgui.text(value)
-        imgui.end_table()
+    readings("counted", rows)
     _spectrum(counted)
 
 

@@ -9,8 +9,8 @@ from imgui_bundle import icons_fontawesome_6, imgui
 from gsrain_engine.session.drive.wanted_drive import WantedDrive
 from gsrain_engine.session.session import Session
 
-from ..pages.file_dialogs import ask_what_to_open
 from ..widgets.fields import field_info, plain_label
+from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.struct_fields import ALL_FILES, edited, place
 
 _SCENARIOS = f"Scenarios{{.yaml,.yml,.xosc}},{ALL_FILES}"

@@ -10,8 +10,8 @@ from gsrain_engine.session.drive.curves import Curves
 from gsrain_engine.session.drive.opened_rollout import OpenedRollout
 from gsrain_engine.session.session import Session
 
+from ..widgets.colors import PLAYHEAD
 from .drive_colors import curve_colors
-from .timeline.colors import PLAYHEAD
 
 _WIDE = 1.6
 """From so many times wider than high on, plots stand side by side."""

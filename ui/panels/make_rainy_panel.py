@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
-from gsrain_engine.appearance.methods import METHODS
+from gsrain_engine.appearance.methods import usable_methods
 from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.rain.rain import CALIBRATED_UP_TO_MM_H
 from gsrain_engine.session.jobs.rainy_scene_job import TITLE
@@ -54,8 +54,9 @@ def make_rainy_panel(session: Session) -> None:
 def _method(session: Session) -> None:
     rainy = session.rainy
     fields.plain_label("Method", "What makes a view look rainy.")
-    names = [each.name for each in METHODS]
-    changed, at = imgui.combo("##method", names.index(rainy.method), [each.title for each in METHODS])
+    methods = usable_methods()
+    names = [each.name for each in methods]
+    changed, at = imgui.combo("##method", names.index(rainy.method), [each.title for each in methods])
     imgui.set_item_tooltip(rainy.row.help)
     if changed:
         rainy.method = names[at]

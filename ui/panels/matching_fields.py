@@ -2,7 +2,7 @@
 
 from imgui_bundle import imgui
 
-from gsrain_engine.session.matching.matching_view import MODES, Mode
+from gsrain_engine.session.matching.mode import MODES, Mode
 from gsrain_engine.session.matching.other_view import AGAINST, Against
 from gsrain_engine.session.session import Session
 
@@ -17,7 +17,7 @@ _MODES: dict[Mode, str] = {"picture": "that view, from here", "difference": "dif
 
 def matching_fields(session: Session) -> None:
     """Draw the fields."""
-    matching = session.captures.matching
+    matching = session.matching
     _, matching.is_on = imgui.checkbox("Show matches", matching.is_on)
     imgui.set_item_tooltip(
         "Find each pixel in another view, by its depth (eq. 13-15): of the recorded view that is looked from, else of "

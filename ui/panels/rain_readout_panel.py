@@ -9,6 +9,7 @@ from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rain_state import intensity_of
 from gsrain_engine.session.session import Session
 
+from ..widgets.readings import readings
 from .rain_panel import WARNING
 
 
@@ -44,15 +45,7 @@ def rain_readout_panel(session: Session) -> None:
         ("Extinction", f"{1000 * state.extinction_per_m:.3f} /km", "beta = (pi/4) Q N E[D^2], times the haze gain."),
         ("Visibility", f"{state.visibility_m / 1000:.2f} km", "Where 5 % of a beam is left."),
     )
-    if imgui.begin_table("readout", 2, imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop):
-        for name, value, help_text in rows:
-            imgui.table_next_row()
-            imgui.table_next_column()
-            imgui.text(name)
-            imgui.set_item_tooltip(help_text)
-            imgui.table_next_column()
-            imgui.text(value)
-        imgui.end_table()
+    readings("readout", rows)
     if state.beyond_calibration:
         imgui.text_colored(WARNING, "beyond calibration (13 mm/h)")
     if session.rain.exaggeration:

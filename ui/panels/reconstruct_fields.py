@@ -15,8 +15,8 @@ from gsrain_engine.session.jobs.scene_job import SceneJob
 from gsrain_engine.session.jobs.torch_extra import HOW_TO_GET_TORCH, has_torch
 from gsrain_engine.session.session import Session
 
-from ..pages.file_dialogs import ask_what_to_open
 from ..widgets.fields import field_info, plain_label
+from ..widgets.file_dialogs import ask_what_to_open
 from .job_fields import job_fields
 
 

@@ -6,7 +6,7 @@ from imgui_bundle import ImVec2, imgui
 
 from gsrain_engine.session.session import Session
 
-from ..pages.file_dialogs import ask_where_to_save
+from ..widgets.file_dialogs import ask_where_to_save
 from .rain_panel import WARNING
 from .record_fields import camera_field, format_fields, moment_fields, pass_fields, sample_fields, size_fields
 

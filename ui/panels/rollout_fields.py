@@ -10,11 +10,11 @@ from gsrain_engine.session.drive.drives import Drives
 from gsrain_engine.session.drive.opened_rollout import OpenedRollout
 from gsrain_engine.session.session import Session
 
-from ..pages.file_dialogs import ask_what_to_open, ask_where_to_save
+from ..widgets.colors import color
+from ..widgets.file_dialogs import ask_what_to_open, ask_where_to_save
 from ..widgets.struct_fields import ALL_FILES
 from .drive_colors import curve_colors
 from .rain_panel import WARNING
-from .timeline.colors import color
 
 _ICONS = icons_fontawesome_6
 _KINDS = "Roll-outs{.jsonl,.parquet}"

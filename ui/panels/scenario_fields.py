@@ -8,8 +8,8 @@ from imgui_bundle import icons_fontawesome_6, imgui
 from gsrain_engine.drive.scenario.scenario import ScenarioUser
 from gsrain_engine.session.drive.wanted_drive import WantedDrive
 
-from ..pages.file_dialogs import ask_where_to_save
 from ..widgets.fields import field_info, plain_label
+from ..widgets.file_dialogs import ask_where_to_save
 from ..widgets.struct_fields import edited
 
 _Settings = TypeVar("_Settings", bound=msgspec.Struct)

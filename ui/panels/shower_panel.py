@@ -10,7 +10,7 @@ from gsrain_engine.rain.measured_weather import MeasuredWeather, from_spectra
 from gsrain_engine.rain.weather import WITHOUT_CHANGE, Weather, passing_shower
 from gsrain_engine.session.session import Session
 
-from ..pages.file_dialogs import ask_what_to_open
+from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.key_button import toggle_key
 from .rain_panel import WARNING
 from .shower_plot import shower_plot

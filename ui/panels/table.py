@@ -1,10 +1,4 @@
-"""The one table of panels: title, where it docks, and the function of the session that draws it."""
-
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
-
-from gsrain_engine.session.session import Session
+"""The one table of panels, and those of installed packages after them."""
 
 from .calibration_panel import calibration_panel
 from .camera_mosaic_panel import camera_mosaic_panel
@@ -15,10 +9,12 @@ from .drive_panel import drive_panel
 from .drive_plots import drive_plots
 from .edit_panel import edit_panel
 from .history_panel import history_panel
+from .installed_panels import installed_panels
 from .jobs_panel import jobs_panel
 from .layers_panel import layers_panel
 from .log_panel import log_panel
 from .make_rainy_panel import make_rainy_panel
+from .panel import Panel
 from .rain_panel import rain_panel
 from .rain_readout_panel import rain_readout_panel
 from .record_panel import record_panel
@@ -26,18 +22,6 @@ from .select_panel import select_panel
 from .shower_panel import shower_panel
 from .statistics_panel import statistics_panel
 from .timeline_panel import timeline_panel
-
-DockSide = Literal["left", "left bottom", "right", "right bottom", "bottom"]
-
-
-@dataclass(frozen=True)
-class Panel:
-    """A panel beside the viewport."""
-
-    title: str
-    side: DockSide
-    draw: Callable[[Session], None]
-
 
 PANELS = (
     Panel("Layers", "left", layers_panel),
@@ -61,3 +45,8 @@ PANELS = (
     Panel("Timeline", "bottom", timeline_panel),
     Panel("Drive plots", "bottom", drive_plots),
 )
+
+
+def all_panels() -> tuple[Panel, ...]:
+    """Our panels, then those of installed packages."""
+    return (*PANELS, *installed_panels({each.title for each in PANELS}))

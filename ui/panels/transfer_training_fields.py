@@ -11,8 +11,8 @@ from gsrain_engine.session.jobs.transfer_training import Losses
 from gsrain_engine.session.rainy.transfer_studio import TrainingChoice
 from gsrain_engine.session.session import Session
 
-from ..pages.file_dialogs import ask_what_to_open
 from ..widgets.fields import field_info, plain_label
+from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.plots import line, plot
 from ..widgets.struct_fields import ALL_FILES, edited, place
 from .job_fields import job_fields

@@ -8,9 +8,9 @@ from gsrain_engine.session.capture.frustums import Frustum, frustums, picture_gr
 from gsrain_engine.session.capture.view_pictures import LARGE_PX, THUMBNAIL_PX, Wish
 from gsrain_engine.session.session import Session
 
-from ..panels.timeline.colors import CHOSEN, OUTLINE, color
+from ..widgets.colors import CHOSEN, OUTLINE, color
+from ..widgets.viewport import Viewport
 from .placed_picture import draw_placed_picture
-from .viewport import Viewport
 
 _CAMERA = ImVec4(0.5, 0.85, 0.62, 0.9)
 _HANDLE, _REACH = 4.0, 9.0

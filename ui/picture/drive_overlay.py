@@ -7,8 +7,8 @@ from gsrain_engine.session.drive.rollout_drawing import BoxMark, RolloutDrawing,
 from gsrain_engine.session.drive.seen_boxes import SeenBox, seen_boxes
 from gsrain_engine.session.session import Session
 
-from ..panels.timeline.colors import OUTLINE, color
-from .viewport import Viewport
+from ..widgets.colors import OUTLINE, color
+from ..widgets.viewport import Viewport
 
 _PLAN = ImVec4(0.2, 0.95, 0.6, 1.0)
 _DRIVEN = ImVec4(0.45, 0.78, 1.0, 0.55)

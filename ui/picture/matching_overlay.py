@@ -11,9 +11,9 @@ from gsrain_engine.session.matching.matching_colors import COLORS
 from gsrain_engine.session.matching.matching_view import Shown
 from gsrain_engine.session.session import Session
 
-from ..panels.timeline.colors import CHOSEN, OUTLINE, color
+from ..widgets.colors import CHOSEN, OUTLINE, color
+from ..widgets.viewport import Viewport
 from .placed_picture import draw_placed_picture
-from .viewport import Viewport
 
 WORDS: dict[Outcome, str] = {
     Outcome.MATCHED: "matched",
@@ -35,14 +35,14 @@ _FAINT = ImVec4(0.7, 0.71, 0.75, 1.0)
 
 def matching_overlay(session: Session, viewport: Viewport) -> bool:
     """Draw what is matched, if that is switched on; never takes the mouse."""
-    matching = session.captures.matching
+    matching = session.matching
     if not matching.is_on:
         return False
     shown = matching.shown
     if shown is None:
         _card(viewport, matching.problem or "Matching...", [])
         return False
-    texture = session.captures.matching_texture
+    texture = session.matching.texture
     grid = picture_grid(shown.camera, 1.0, viewport.shot.camera, _CELLS)
     if texture is None or grid is None:
         return False

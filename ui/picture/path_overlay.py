@@ -8,8 +8,8 @@ from gsrain_engine.session.session import Session
 from gsrain_engine.session.timeline import edits as edits
 from gsrain_engine.session.view.path_drawing import KeyMark, drag_in_view, path_drawing
 
-from ..panels.timeline.colors import CHOSEN, KEY, OUTLINE, PLAYHEAD, color
-from .viewport import Viewport
+from ..widgets.colors import CHOSEN, KEY, OUTLINE, PLAYHEAD, color
+from ..widgets.viewport import Viewport
 
 _WAY = ImVec4(0.55, 0.78, 1.0, 0.9)
 _HANDLE, _REACH = 5.5, 10.0

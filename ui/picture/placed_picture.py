@@ -4,7 +4,7 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 from jaxtyping import Float64
 
-from .viewport import Viewport
+from ..widgets.viewport import Viewport
 
 
 def draw_placed_picture(

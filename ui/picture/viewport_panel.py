@@ -8,6 +8,7 @@ from gsrain_engine.session.session import Session
 from gsrain_engine.session.view.region_outlines import region_outlines
 
 from ..tools import TOOLS
+from ..widgets.viewport import Viewport
 from .divider import draw_divider
 from .empty_state import empty_state
 from .notice import draw_notice
@@ -16,7 +17,6 @@ from .preview_side import preview_side
 from .tool_bar import tool_bar
 from .tool_options import tool_options
 from .view_bar import view_bar
-from .viewport import Viewport
 
 TexturesOf = Callable[[int, int], list[int]]
 """Draws the session for a size in pixels and returns the OpenGL names of its sides, from left to right."""

@@ -7,10 +7,10 @@ from gsrain_engine.session.selection.volumes import standing_on
 from gsrain_engine.session.session import Session
 from gsrain_engine.session.view.picking import pick_point
 
-from ..picture.viewport import Viewport
 from ..widgets.markers import draw_hint
+from ..widgets.viewport import Viewport
 from .box_faces import Face, draw_box, face_under_mouse, is_pressed
-from .selecting import MODIFIERS, apply_volume, beside, mode_options
+from .selecting import MODIFIERS, apply_volume, beside, mode_options, volume_buttons
 
 _FIRST_SIZE_M = (2.0, 2.0, 2.0)
 
@@ -70,14 +70,8 @@ class BoxTool:
         _, yaw = imgui.drag_float("##yaw", box.yaw_deg, 0.5, -180.0, 180.0, "%.1f°", flags)
         imgui.set_item_tooltip("Turn of the box to the left, in degrees.")
         options.box = CropBox((center[0], center[1], center[2]), (size[0], size[1], size[2]), yaw)
-        beside(11)
-        if imgui.button("Apply##box"):
-            apply_volume(session, session.clock.time_s, options.box, "box", now=True)
-        imgui.set_item_tooltip("Select what is inside (Enter), whether the camera sees it or not.")
-        imgui.same_line()
-        if imgui.button("Drop##box"):
+        if volume_buttons(session, options.box, "box"):
             options.box = None
-        imgui.set_item_tooltip("Take the box away; the selection stays.")
 
     def _place(self, session: Session, viewport: Viewport) -> None:
         """Stand the box on the surface under the mouse, as large as it was before."""

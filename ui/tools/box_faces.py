@@ -4,8 +4,8 @@ from imgui_bundle import imgui
 
 from gsrain_engine.session.edits.cropping import CropBox
 
-from ..picture.viewport import Viewport
 from ..widgets.markers import YELLOW, draw_line, draw_point
+from ..widgets.viewport import Viewport
 
 Face = tuple[int, bool]
 """Axis, and whether it is its upper side."""

@@ -8,8 +8,8 @@ from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.edits.cropping import CropBox, box_around, crop
 from gsrain_engine.session.session import Session
 
-from ..picture.viewport import Viewport
 from ..widgets.markers import draw_hint
+from ..widgets.viewport import Viewport
 from .box_faces import Face, draw_box, face_under_mouse, is_pressed
 
 

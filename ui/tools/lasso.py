@@ -5,7 +5,7 @@ from imgui_bundle import icons_fontawesome_6, imgui
 from gsrain_engine.session.selection import image_shapes
 from gsrain_engine.session.session import Session
 
-from ..picture.viewport import Viewport
+from ..widgets.viewport import Viewport
 from . import outline
 from .left_drag import LeftDrag
 from .selecting import MODIFIERS, shape_options, take_shape

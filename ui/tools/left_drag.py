@@ -5,7 +5,7 @@ from typing import Literal
 
 from imgui_bundle import imgui
 
-from ..picture.viewport import Viewport
+from ..widgets.viewport import Viewport
 
 _STILL_PX = 4.0
 """A hand that moves less than this has clicked."""

@@ -10,8 +10,8 @@ from gsrain_engine.session.edits.level import level_from_ground, level_from_poin
 from gsrain_engine.session.session import Session
 from gsrain_engine.session.view.picking import pick_point
 
-from ..picture.viewport import Viewport
 from ..widgets.markers import draw_hint, draw_line, draw_point, is_clicked
+from ..widgets.viewport import Viewport
 
 _ORDINALS = ("first", "second", "third")
 

@@ -11,8 +11,8 @@ from gsrain_engine.session.edits.scale import distance_m, set_length
 from gsrain_engine.session.session import Session
 from gsrain_engine.session.view.picking import pick_point
 
-from ..picture.viewport import Viewport
 from ..widgets.markers import draw_hint, draw_line, draw_point, draw_words, is_clicked
+from ..widgets.viewport import Viewport
 
 
 @dataclass(slots=True)

@@ -10,8 +10,8 @@ from gsrain_engine.session.edits.level import set_ground_height
 from gsrain_engine.session.session import Session
 from gsrain_engine.session.view.picking import pick_point
 
-from ..picture.viewport import Viewport
 from ..widgets.markers import draw_hint, draw_point, draw_words, is_clicked
+from ..widgets.viewport import Viewport
 
 Meaning = Literal["Ego start", "World origin", "Ground height"]
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from imgui_bundle import ImVec4, imgui
 from imgui_bundle.imgui import ImVec2Like
 
-from ..picture.viewport import Viewport
+from ..widgets.viewport import Viewport
 
 _DARK, _LIGHT = ImVec4(0.0, 0.0, 0.0, 0.75), ImVec4(1.0, 0.85, 0.3, 1.0)
 _FILL = ImVec4(1.0, 0.85, 0.3, 0.10)

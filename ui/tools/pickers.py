@@ -9,8 +9,8 @@ from gsrain_engine.session.selection.steps import select
 from gsrain_engine.session.session import Session
 from gsrain_engine.session.view.picking import Picked, pick
 
-from ..picture.viewport import Viewport
 from ..widgets.markers import is_clicked
+from ..widgets.viewport import Viewport
 from .selecting import MODIFIERS, beside, mode_now, mode_options, tolerance_option
 
 

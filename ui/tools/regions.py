@@ -13,8 +13,8 @@ from gsrain_engine.session.view.region_handles import FaceHandle, FacePull, Regi
 from gsrain_engine.session.view.region_inset import frustum_lines, inset_shot
 from gsrain_engine.session.view.region_outlines import project_edges
 
-from ..picture.viewport import Viewport
 from ..widgets.markers import Rgba, draw_line, draw_point, draw_words
+from ..widgets.viewport import Viewport
 
 _COLORS = {"streak_region": (0.45, 0.85, 1.0, 1.0), "haze_region": (1.0, 0.8, 0.45, 1.0)}
 _LABELS: dict[RegionName, str] = {"streak_region": "Streak region", "haze_region": "Haze region"}

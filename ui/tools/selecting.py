@@ -11,7 +11,7 @@ from gsrain_engine.session.selection.steps import select
 from gsrain_engine.session.selection.volumes import Volume, in_volume
 from gsrain_engine.session.session import Session
 
-from ..picture.viewport import Viewport
+from ..widgets.viewport import Viewport
 
 MODIFIERS = "Shift adds, Ctrl removes, both intersect."
 
@@ -100,6 +100,18 @@ def tolerance_option(session: Session) -> None:
         "How far red, green and blue may each differ from the colour under the mouse, 0..1.\n"
         "Drag, or double-click to type."
     )
+
+
+def volume_buttons(session: Session, volume: Volume, name: str) -> bool:
+    """Draw what can be done with a volume as it stands; returns whether it is to be taken away."""
+    beside(11)
+    if imgui.button(f"Apply##{name}"):
+        apply_volume(session, session.clock.time_s, volume, name, now=True)
+    imgui.set_item_tooltip("Select what is inside (Enter), whether the camera sees it or not.")
+    imgui.same_line()
+    is_dropped = imgui.button(f"Drop##{name}")
+    imgui.set_item_tooltip(f"Take the {name} away; the selection stays.")
+    return is_dropped
 
 
 def beside(width_em: float) -> None:

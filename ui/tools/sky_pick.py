@@ -6,8 +6,8 @@ from gsrain_engine.session.picture.sky_pick import SkyPick
 from gsrain_engine.session.session import Session
 
 from ..panels.drop_color import PICK_TOOL
-from ..picture.viewport import Viewport
 from ..widgets.markers import draw_hint
+from ..widgets.viewport import Viewport
 from . import outline
 from .left_drag import LeftDrag
 

@@ -6,12 +6,12 @@ from gsrain_engine.session.selection.volumes import Ball
 from gsrain_engine.session.session import Session
 from gsrain_engine.session.view.picking import pick_point
 
-from ..picture.viewport import Viewport
 from ..widgets.markers import draw_hint, draw_point
+from ..widgets.viewport import Viewport
 from . import outline
 from .box_faces import is_pressed
 from .left_drag import LeftDrag
-from .selecting import MODIFIERS, apply_volume, beside, mode_options
+from .selecting import MODIFIERS, apply_volume, beside, mode_options, volume_buttons
 
 _FIRST_RADIUS_M = 1.0
 _RING = 64
@@ -71,14 +71,8 @@ class SphereTool:
         if moved or sized:
             options.ball = Ball((center[0], center[1], center[2]), radius)
             self._radius_m = radius
-        beside(11)
-        if imgui.button("Apply##sphere"):
-            apply_volume(session, session.clock.time_s, options.ball or ball, "sphere", now=True)
-        imgui.set_item_tooltip("Select what is inside (Enter), whether the camera sees it or not.")
-        imgui.same_line()
-        if imgui.button("Drop##sphere"):
+        if volume_buttons(session, options.ball or ball, "sphere"):
             options.ball = None
-        imgui.set_item_tooltip("Take the sphere away; the selection stays.")
 
 
 def _draw_ball(viewport: Viewport, ball: Ball) -> None:

@@ -6,7 +6,7 @@ from imgui_bundle import imgui
 
 from gsrain_engine.session.session import Session
 
-from ..picture.viewport import Viewport
+from ..widgets.viewport import Viewport
 
 
 @runtime_checkable

@@ -12,9 +12,9 @@ from gsrain_engine.session.edits.moving import move_member, move_selected, movin
 from gsrain_engine.session.session import Session
 from gsrain_engine.session.view.gizmo_matrices import Handle, standing_at
 
-from ..picture.viewport import Viewport
 from ..widgets.gizmo import Gizmo
 from ..widgets.markers import draw_hint
+from ..widgets.viewport import Viewport
 
 _VERBS: dict[Handle, tuple[str, str]] = {
     "translate": ("Move", "Drag an arrow or a square; Ctrl snaps to half a metre."),

@@ -24,19 +24,31 @@ class FieldInfo:
     low: float
     high: float
     choices: tuple[str, ...]
+    multiple_of: int = 1
+    none: str | None = None
+    """What it means that an optional number is not given, in a word or two; None where it has to be."""
+    usual: float = 0.0
+    """What an optional number is when it is given anew."""
 
 
 @cache
 def field_info(name: str, owner: type[msgspec.Struct] = Rain) -> FieldInfo:
     """Read the declaration of a field, of the rain or of another struct."""
     hint = get_type_hints(owner, include_extras=True)[name]
+    is_optional = type(None) in get_args(hint)
     hint = next((each for each in get_args(hint) if get_origin(each) is Annotated), hint)  # where it may be None
     kind, meta = (hint.__origin__, hint.__metadata__[0]) if get_origin(hint) is Annotated else (hint, msgspec.Meta())
     extra: dict[str, Any] = meta.extra or {}
     choices = tuple(each for each in get_args(kind) if isinstance(each, str))
     low = meta.ge if meta.ge is not None else extra.get("ge", 0.0)
     high = meta.le if meta.le is not None else extra.get("le", 1.0)
-    return FieldInfo(meta.title or name, extra.get("unit", ""), meta.description or "", low, high, choices)
+    none = str(extra.get("none", "none")) if is_optional and kind in (int, float) else None
+    default = next(each for each in msgspec.structs.fields(owner) if each.name == name).default
+    usual = extra.get("usual", default if isinstance(default, int | float) else low)
+    multiple = int(meta.multiple_of or 1)
+    return FieldInfo(
+        meta.title or name, extra.get("unit", ""), meta.description or "", low, high, choices, multiple, none, usual
+    )
 
 
 def label(name: str) -> None:

@@ -17,7 +17,7 @@ from gsrain_engine.session.view.gizmo_matrices import (
     opengl_view,
 )
 
-from ..picture.viewport import Viewport
+from .viewport import Viewport
 
 _GIZMO = imguizmo.im_guizmo
 _OPERATIONS = {

@@ -4,7 +4,7 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 from jaxtyping import Float64
 
-from ..picture.viewport import Viewport
+from .viewport import Viewport
 
 Rgba = tuple[float, float, float, float]
 

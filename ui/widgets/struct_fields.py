@@ -7,8 +7,8 @@ from typing import Any, TypeVar
 import msgspec
 from imgui_bundle import icons_fontawesome_6, imgui
 
-from ..pages.file_dialogs import ask_what_to_open
 from .fields import FieldInfo, field_info, plain_label
+from .file_dialogs import ask_what_to_open
 
 _Settings = TypeVar("_Settings", bound=msgspec.Struct)
 
@@ -25,11 +25,16 @@ def edited(settings: _Settings, name: str, *, label: str | None = None, step: in
         changed, value = _checkbox(name, info, value)
     else:
         plain_label(label or (f"{info.title} ({info.unit})" if info.unit else info.title), info.help)
+        if info.none is not None:
+            switched, value = _given(name, info, value)
+            if switched or value is None:
+                return _with(settings, name, value) if switched else settings
         if info.choices:
             changed, value = _combo(name, info.choices, value)
         elif isinstance(value, int):
+            step = max(step, info.multiple_of)
             changed, value = imgui.input_int(f"##{name}", value, step, 10 * step)
-            value = int(min(max(value, info.low), info.high))
+            value = int(min(max(round(value / info.multiple_of) * info.multiple_of, info.low), info.high))
         else:
             changed, value = imgui.slider_float(
                 f"##{name}", value, info.low, info.high, "%.4g", imgui.SliderFlags_.always_clamp
@@ -63,6 +68,17 @@ def place(
 
 def _first(chosen: Sequence[Path]) -> str:
     return str(chosen[0])
+
+
+def _given(name: str, info: FieldInfo, value: float | None) -> tuple[bool, float | None]:
+    """Draw whether an optional number is given, and the word for that it is not; the number's widget comes after it."""
+    changed, is_given = imgui.checkbox(f"##{name} given", value is not None)
+    imgui.set_item_tooltip(f"{info.help}\nOff: {info.none}.")
+    imgui.same_line()
+    imgui.set_next_item_width(-1)
+    if not is_given:
+        imgui.text_disabled(info.none or "")
+    return changed, (value if is_given and value is not None else info.usual if is_given else None)
 
 
 def _checkbox(name: str, info: FieldInfo, value: bool) -> tuple[bool, bool]:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import msgspec
@@ -12,13 +13,13 @@ from gsrain_engine.drive.metrics.figures import kinematics_figure, write_figure
 from gsrain_engine.drive.metrics.metrics_files import write_metrics_csv
 from gsrain_engine.drive.metrics.run_page import drive_report
 from gsrain_engine.drive.metrics.table import results_table
+from gsrain_engine.drive.playback.drive_video import DriveVideo
+from gsrain_engine.drive.playback.played_rollout import PlayedRollout
 from gsrain_engine.drive.road.route import recorded_route
+from gsrain_engine.drive.rollouts.json_lines import write_rollout
+from gsrain_engine.drive.rollouts.rollout import Rollout
 from gsrain_engine.drive.scenario.scenario import Scenario
-from gsrain_engine.drive.simulation.drive_video import DriveVideo
-from gsrain_engine.drive.simulation.played_rollout import PlayedRollout
-from gsrain_engine.drive.simulation.rollout import Rollout
-from gsrain_engine.drive.simulation.rollout_files import write_rollout
-from gsrain_engine.evaluate.report.run_report import write_report
+from gsrain_engine.evaluate.report.report_file import write_report
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.video import VideoWriter
 from gsrain_engine.scene.atomic_files import whole_file
@@ -26,7 +27,8 @@ from gsrain_engine.scene.scene import Scene
 
 from ..progress import progress_bar
 
-EXPORTS = ("parquet", "mcap", "xosc")
+EXPORTS = {"parquet": "pyarrow", "mcap": "mcap", "xosc": "scenariogeneration"}
+"""Other forms of a run, and the package that writes each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +45,9 @@ class DriveFiles:
         unknown = sorted(self.exports - set(EXPORTS))
         if unknown:
             raise ValueError(f"--export {unknown[0]}: there is only {', '.join(EXPORTS)}")
+        for name in sorted(self.exports):
+            if find_spec(EXPORTS[name]) is None:
+                raise ValueError(f"--export {name} needs {EXPORTS[name]}: pip install 'gsrain[drive]'")
         if not 1 <= self.fps <= 60:
             raise ValueError(f"--fps {self.fps:g}: must be within 1..60")
 
@@ -117,13 +122,13 @@ def _film(path: Path, video: DriveVideo, fps: float) -> None:
 
 
 def _write_parquet(path: Path, rollout: Rollout, scene: Scene) -> None:
-    from gsrain_engine.drive.simulation.rollout_parquet import write_rollout_parquet
+    from gsrain_engine.drive.rollouts.parquet import write_rollout_parquet
 
     write_rollout_parquet(path, rollout)
 
 
 def _write_mcap(path: Path, rollout: Rollout, scene: Scene) -> None:
-    from gsrain_engine.drive.simulation.rollout_mcap import write_rollout_mcap
+    from gsrain_engine.drive.foxglove.mcap_file import write_rollout_mcap
 
     write_rollout_mcap(path, rollout, recorded_route(scene))
 

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from gsrain_engine.drive.agents.agent import Agent
+from gsrain_engine.drive.agents.agent_file import agent_file
 from gsrain_engine.drive.agents.registry import AgentOptions, agent_names, default_agent, open_agent
 from gsrain_engine.drive.scenario.scenario import Scenario
 from gsrain_engine.scene.scene import Scene
@@ -26,7 +27,8 @@ class DriverOptions:
         list[str] | None,
         Parameter(
             help="Who drives: constant-velocity, oracle-idm, camera-idm, neuroncap-baseline, http, hugsim, or one of "
-            "an installed package (entry points gsrain.agents); may be given several times. "
+            "an installed package (entry points gsrain.agents); FILE.py or FILE.py:NAME is a class of your own. May be "
+            "given several times. "
             "Default: camera-idm where a detector is found, else oracle-idm.",
             negative="",
         ),
@@ -58,9 +60,10 @@ class DriverOptions:
             raise ValueError("--hugsim-dir is for the agent hugsim alone; leave out --agent")
         if not 0 < self.hugsim_wait <= 86_400:
             raise ValueError(f"--hugsim-wait {self.hugsim_wait:g}: must be above 0 and at most 86400 s")
-        unknown = next((name for name in asked if name not in (*agent_names(), HUGSIM)), None)
+        known = (*agent_names(), HUGSIM)
+        unknown = next((name for name in asked if name not in known and agent_file(name) is None), None)
         if unknown is not None:
-            raise ValueError(f"--agent {unknown}: there is only {', '.join((*agent_names(), HUGSIM))}")
+            raise ValueError(f"--agent {unknown}: there is only {', '.join(known)}, or a file FILE.py")
         return [HUGSIM] if self.hugsim_dir is not None else asked
 
     def fitted(self, scenario: Scenario, scene: Scene) -> tuple[Scenario, Scene]:

@@ -15,7 +15,8 @@ from gsrain_engine.evaluate.comparison.stamp import stamp
 from gsrain_engine.evaluate.consistency.folders import ComparedViews, open_compared
 from gsrain_engine.evaluate.consistency.pairs import FILM_SHARE, PairAgreement, agreements, warped_pair
 from gsrain_engine.evaluate.consistency.sheet import ShownPair, consistency_sheet
-from gsrain_engine.evaluate.report.run_report import write_report
+from gsrain_engine.evaluate.report.report_file import write_report
+from gsrain_engine.render.pictures import write_sheet
 from gsrain_engine.scene.content_hash import file_hash
 
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
@@ -82,7 +83,7 @@ def consistency(
     if sheet is not None or report is not None:
         drawn = _drawn(compared, own_pairs, film, sheet_pairs)
         if sheet is not None:
-            Image.fromarray(drawn).save(sheet)
+            write_sheet(sheet, Image.fromarray(drawn))
             print(f"wrote {sheet}", file=sys.stderr)
         if report is not None:
             write_report(report, consistency_page(numbers, drawn, {"neighbours": neighbours, "LPIPS": lpips or "-"}))

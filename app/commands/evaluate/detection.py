@@ -10,8 +10,8 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.console import Console
 
+from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.evaluate.detection.detector import Detector, open_detector
-from gsrain_engine.render.backends import Backend, open_renderer
 
 from ..arguments import JsonFile, write_numbers
 from ..outputs import check_writable

@@ -13,7 +13,8 @@ from gsrain_engine.evaluate.detection.curves import object_figure, pixels, preci
 from gsrain_engine.evaluate.detection.sheet import detection_sheet
 from gsrain_engine.evaluate.detection.sweep import JudgedPicture, Judgement
 from gsrain_engine.evaluate.detection.table import write_csv, write_parquet
-from gsrain_engine.evaluate.report.run_report import Figure, ReportTable, RunReport, write_report
+from gsrain_engine.evaluate.report.report_file import write_report
+from gsrain_engine.evaluate.report.run_report import Figure, ReportTable, RunReport
 from gsrain_engine.render.video import VideoWriter
 from gsrain_engine.scene.atomic_files import whole_file
 

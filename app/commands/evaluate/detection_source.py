@@ -120,7 +120,10 @@ def _of_scene(renderer: Renderer, asked: DetectionSource, rain: Rain) -> Prepare
 def _of_capture(renderer: Renderer, asked: DetectionSource, rain: Rain) -> PreparedSource:
     capture = _chosen(open_capture(str(asked.source)), asked)
     if not capture.is_metric and capture.has_poses:
-        raise ValueError(f"{capture.name}: its unit of length is unknown, and rain falls in metres")
+        raise ValueError(
+            f"{capture.name}: its unit of length is unknown, and rain falls in metres; take the folder of its pictures "
+            "alone, or a reconstruction that was scaled to metres with --capture"
+        )
     world = Scene(capture.name, up=capture.up, ego=capture.ego)
     placed = [_of_view(prepared(view), world, capture, asked.width_px) for view in capture]
     labels = None if asked.truth is None else read_coco(asked.truth)

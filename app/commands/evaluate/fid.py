@@ -18,7 +18,8 @@ from gsrain_engine.evaluate.distribution.comparison import DistributionDistance,
 from gsrain_engine.evaluate.distribution.extractor import Extractor, ExtractorChoice
 from gsrain_engine.evaluate.distribution.extractors import EXTRACTORS, open_extractor
 from gsrain_engine.evaluate.distribution.feature_cache import FeatureCache
-from gsrain_engine.evaluate.report.run_report import ReportTable, RunReport, write_report
+from gsrain_engine.evaluate.report.report_file import write_report
+from gsrain_engine.evaluate.report.run_report import ReportTable, RunReport
 
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..outputs import check_writable

@@ -21,7 +21,8 @@ from gsrain_engine.evaluate.distribution.feature_cache import picture_hash
 from gsrain_engine.evaluate.image_metrics import check_pair
 from gsrain_engine.evaluate.mean_interval import MeanInterval, mean_interval
 from gsrain_engine.evaluate.report.comparison import Comparison, Distance
-from gsrain_engine.evaluate.report.run_report import RunReport, write_report
+from gsrain_engine.evaluate.report.report_file import write_report
+from gsrain_engine.evaluate.report.run_report import RunReport
 
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..outputs import check_writable

@@ -16,6 +16,8 @@ from gsrain_engine.evaluate.lidar.sensor import SENSORS, LidarSensor
 from gsrain_engine.evaluate.lidar.sweep_file import write_sweep
 from gsrain_engine.evaluate.lidar.sweep_in_rain import Answer
 from gsrain_engine.evaluate.lidar.turns import Turn, capture_turns, scene_turns
+from gsrain_engine.explained_errors import converted
+from gsrain_engine.plain_values import read_whole, yaml_values
 from gsrain_engine.scene.content_hash import file_hash, scene_hash
 
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
@@ -149,8 +151,8 @@ def _sensor(name: str, range_10: float | None, least_reflectance: float | None) 
         if not path.is_file():
             raise ValueError(f"--sensor {name}: expected {', '.join(SENSORS)}, or a YAML file of a sensor")
         try:
-            sensor = msgspec.yaml.decode(path.read_bytes(), type=LidarSensor)
-        except msgspec.MsgspecError as error:
+            sensor = converted(yaml_values(read_whole(path)), LidarSensor)
+        except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
     if range_10 is not None:
         if not 1 <= range_10 <= 1000:

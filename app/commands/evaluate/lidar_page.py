@@ -10,7 +10,8 @@ import numpy as np
 from PIL import Image
 
 from gsrain_engine.evaluate.lidar.runs import RunCounts
-from gsrain_engine.evaluate.report.run_report import Figure, ReportTable, RunReport, write_report
+from gsrain_engine.evaluate.report.report_file import write_report
+from gsrain_engine.evaluate.report.run_report import Figure, ReportTable, RunReport
 
 from .run_facts import told_facts
 

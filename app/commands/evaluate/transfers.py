@@ -22,10 +22,10 @@ from gsrain_engine.evaluate.comparison.table import comma_separated, markdown, p
 from gsrain_engine.evaluate.distribution.extractor import Extractor, ExtractorChoice
 from gsrain_engine.evaluate.distribution.extractors import open_extractor
 from gsrain_engine.evaluate.distribution.feature_cache import FeatureCache
-from gsrain_engine.evaluate.report.run_report import write_report
+from gsrain_engine.evaluate.report.report_file import write_report
 from gsrain_engine.scene.atomic_files import whole_file
 from gsrain_engine.scene.content_hash import scene_hash
-from gsrain_engine.session.jobs.torch_extra import require_torch
+from gsrain_engine.session.jobs.torch_extra import HOW_TO_GET_DIFFUSION, require_torch
 from gsrain_engine.shipped_configs import shipped_names
 
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
@@ -62,7 +62,7 @@ def transfers(
     check_writable(output / "table.md", json)
     for each in told.methods:
         if each.method != CLEAR and method_of(each.method).needs_torch:
-            require_torch(f"method {each.name!r}")
+            require_torch(f"method {each.name!r}", HOW_TO_GET_DIFFUSION)
     check_methods(told, output)
     extractor = _extractor(ExtractorChoice(name=told.extractor, weights=told.extractor_weights, device=device))
     source, real = _opened(told)

@@ -1,11 +1,12 @@
 """Files of CycleGAN-Turbo's weights, in whatever layout: read strictly into a model, and written in our own."""
 
-import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+
+from gsrain_engine.printable import printable
 
 from .delta import TurboDelta, take_in
 from .diffusers_lora_weights import is_diffusers_lora, read_diffusers_lora
@@ -41,9 +42,10 @@ class WeightsFile:
     @property
     def takes_guides(self) -> bool:
         """Whether it was made with a fourth channel."""
-        state = self.state.get("sd_vae_dec", self.state)
+        state: Any = self.state.get("sd_vae_dec", self.state)
         ends = ("vae.encoder.conv_in.weight", "vae.encoder.conv_in.base_layer.weight")
-        return any(state[name].shape[1] > 3 for name in ends if name in state)
+        kernels = [state[name] for name in ends if isinstance(state, Mapping) and name in state]
+        return any(len(shape) > 1 and shape[1] > 3 for shape in (getattr(each, "shape", ()) for each in kernels))
 
     def texts(self, weather: str = "rainy") -> tuple[str, str] | None:
         """Captions that the text encoder has to encode, for a2b and b2a; None where the file has their embeddings."""
@@ -51,6 +53,16 @@ class WeightsFile:
 
     def delta(self, model: CycleGanTurbo, weather: str = "rainy") -> TurboDelta:
         """What the file adds to SD-Turbo; raises ValueError, with the first bad key, where it isn't for this model."""
+        try:
+            return self._delta(model, weather)
+        except ValueError as error:
+            raise ValueError(printable(error)) from None
+        except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError) as error:
+            # A value where a tensor belongs, a tensor where a number belongs: whatever damage has put there.
+            words = printable(str(error).split("\n")[0])
+            raise ValueError(f"{self.path}: its weights are damaged: {words or type(error).__name__}") from None
+
+    def _delta(self, model: CycleGanTurbo, weather: str) -> TurboDelta:
         source = str(self.path)
         if is_own(self.metadata):
             return read_own(self.state, self.metadata, model, source)
@@ -76,9 +88,9 @@ def open_weights(path: Path) -> WeightsFile:
         return WeightsFile(path, state, metadata)
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, ValueError, EOFError, OSError, KeyError) as error:
+    except Exception as error:  # torch fails in many ways; its words are the finding
         first = str(error).split("\n")[0].strip() or type(error).__name__
-        raise ValueError(f"{path}: not a readable file of torch weights: {first}") from error
+        raise ValueError(f"{path}: not a readable file of torch weights: {printable(first)}") from None
     if not isinstance(state, Mapping):
         raise ValueError(f"{path}: holds {type(state).__name__}, not weights by name")
     return WeightsFile(path, dict(state.items()), {})
@@ -119,5 +131,5 @@ def _safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
         with safetensors.safe_open(path, framework="pt") as file:
             names: list[str] = file.keys()
             return {name: file.get_tensor(name) for name in names}, dict(file.metadata() or {})
-    except (safetensors.SafetensorError, OSError) as error:
-        raise ValueError(f"{path}: not a readable .safetensors: {error}") from error
+    except (safetensors.SafetensorError, AttributeError, OSError, RuntimeError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: not a readable .safetensors: {printable(error)}") from None

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from gsrain_engine.printable import printable
 from gsrain_engine.scene.atomic_files import whole_file
 
 from .settings import FinetuningSettings
@@ -69,12 +70,19 @@ def read_checkpoint(file: Path, settings: FinetuningSettings, pictures: str, per
         with safetensors.safe_open(str(file), "pt") as opened:
             head = msgspec.json.decode((opened.metadata() or {})[_HEAD], type=_Head)
             tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118 (no mapping)
-    except (OSError, KeyError, safetensors.SafetensorError, msgspec.MsgspecError) as error:
-        raise FinetuningCheckpointError(f"{file}: not a checkpoint of a training, or damaged: {error}") from None
+    except (
+        AttributeError, KeyError, OSError, RecursionError, RuntimeError, TypeError, ValueError,
+        msgspec.MsgspecError, safetensors.SafetensorError,
+    ) as error:  # fmt: skip
+        raise FinetuningCheckpointError(
+            f"{file}: not a checkpoint of a training, or damaged: {printable(error)}"
+        ) from None
     if head.version != _VERSION:
         raise FinetuningCheckpointError(f"{file}: a checkpoint of version {head.version}, expected {_VERSION}")
     if head.pictures != pictures:
-        raise FinetuningCheckpointError(f"{file}: made from other pictures ({head.pictures}), now they are {pictures}")
+        raise FinetuningCheckpointError(
+            f"{file}: made from other pictures ({printable(head.pictures)}), now they are {pictures}"
+        )
     if head.perceptual != perceptual:
         missing = (
             "without LPIPS, whose weights are there now" if perceptual else "with LPIPS, whose weights are missing"

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image
 
 from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights
+from gsrain_engine.render.pictures import write_picture
 from gsrain_engine.scene.progress import Progress
 
 from .checkpoints import Checkpoint, FinetuningCheckpointError, read_checkpoint, write_checkpoint
@@ -166,7 +166,7 @@ class _Learning:
     def _sample(self, number: int) -> UInt8[np.ndarray, "h w 3"]:
         grid = sample_grid(self._training, self._shown)
         self._grid = self._task.samples / f"step_{number + 1:06d}.png"
-        Image.fromarray(grid).save(self._grid)
+        write_picture(self._grid, grid)
         return grid
 
     def _line(self, number: int, done: Done) -> str:

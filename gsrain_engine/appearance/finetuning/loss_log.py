@@ -2,14 +2,16 @@
 
 import csv
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 from jaxtyping import UInt8
+
+from gsrain_engine.scene.atomic_files import whole_file
 
 logger = logging.getLogger("gsrain")
 
@@ -25,17 +27,17 @@ class LossLog:
         self._file = folder / FILE
         self.kept = [row for row in read_losses(self._file) if row[_STEP] <= begins_at] if begins_at else []
         """What was noted before."""
-        self._stream = self._file.open("w", newline="", encoding="utf-8")
-        self._rows: csv.DictWriter[str] | None = None
+        if self.kept:
+            with whole_file(self._file) as beside, beside.open("w", newline="", encoding="utf-8") as stream:
+                _write_rows(stream, self.kept)
+        self._stream = self._file.open("a" if self.kept else "w", newline="", encoding="utf-8")
+        self._rows = csv.DictWriter(self._stream, list(self.kept[0])) if self.kept else None
         self._board: Any = None
         if find_spec("tensorboard") is None:
             logger.info("TensorBoard is not installed: losses go to %s only", self._file)
         else:
             writer: Any = import_module("torch.utils.tensorboard").SummaryWriter
             self._board = writer(str(folder / "tensorboard"), purge_step=begins_at + 1 if begins_at else None)
-        for row in self.kept:
-            self._write(row)
-        self._stream.flush()
 
     def __enter__(self) -> "LossLog":
         return self
@@ -65,9 +67,21 @@ class LossLog:
 
     def _write(self, row: Mapping[str, float]) -> None:
         if self._rows is None:
-            self._rows = csv.DictWriter(self._stream, list(row))
-            self._rows.writeheader()
-        self._rows.writerow({name: f"{value:.9g}" for name, value in row.items()})
+            self._rows = _write_rows(self._stream, [row])
+        else:
+            self._rows.writerow(_in_words(row))
+
+
+def _write_rows(stream: TextIO, rows: Sequence[Mapping[str, float]]) -> "csv.DictWriter[str]":
+    """Write a header and rows; returns what writes more of them."""
+    writer = csv.DictWriter(stream, list(rows[0]))
+    writer.writeheader()
+    writer.writerows(_in_words(row) for row in rows)
+    return writer
+
+
+def _in_words(row: Mapping[str, float]) -> dict[str, str]:
+    return {name: f"{value:.9g}" for name, value in row.items()}
 
 
 def read_losses(file: Path) -> list[dict[str, float]]:

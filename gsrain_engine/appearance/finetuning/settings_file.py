@@ -5,6 +5,7 @@ from typing import Any, get_type_hints
 
 import msgspec
 
+from gsrain_engine.explained_errors import converted
 from gsrain_engine.shipped_configs import load_values, shipped_names
 
 from .settings import FinetuningSettings
@@ -23,8 +24,8 @@ def load_finetuning(name: str | Path, **changes: Any) -> FinetuningSettings:
         sources = {look: changed.pop(look) for look in ("clear", "rainy") if look in changed}
         values["pictures"] = pictures | sources
     try:
-        return msgspec.convert(values | changed, FinetuningSettings)
-    except msgspec.ValidationError as error:
+        return converted(values | changed, FinetuningSettings)
+    except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
 
 

@@ -36,7 +36,17 @@ class ViewChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         ),
     ] = "auto"
     count: (
-        Annotated[int, Meta(ge=1, le=100_000, title="Number of views", description="Evenly over all there are.")] | None
+        Annotated[
+            int,
+            Meta(
+                ge=1,
+                le=100_000,
+                title="Number of views",
+                extra={"none": "as many as fit", "usual": 24},
+                description="Evenly over all there are.",
+            ),
+        ]
+        | None
     ) = None
     """None is all of a recording, and 24 elsewhere."""
     width_px: (
@@ -46,7 +56,7 @@ class ViewChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 ge=16,
                 le=16384,
                 title="Width of pictures",
-                extra={"unit": "px"},
+                extra={"unit": "px", "none": "as 480 x 320", "usual": 480},
                 description="Each picture keeps its proportions.",
             ),
         ]

@@ -59,7 +59,8 @@ class ColmapCamera:
             return Lens("fisheye", padded)
         usable = ", ".join((*_STRAIGHT, *_BROWN, *_EQUIDISTANT))
         raise CaptureError(
-            f"camera {self.id} has the model {self.model}, which OpenCV doesn't have; usable are {usable}"
+            f"camera {self.id} has the model {self.model}, which OpenCV doesn't have; usable are {usable}, "
+            "and COLMAP's image_undistorter makes straight pictures of any"
         )
 
     def pinhole(self, world_to_camera: Float64[np.ndarray, "4 4"]) -> Camera:

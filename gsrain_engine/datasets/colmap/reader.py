@@ -70,6 +70,7 @@ def _view(model: ColmapModel, image: ColmapImage, folder: Path, name: str, senso
         raise CaptureError(f"image {image.name!r} was taken by camera {image.camera_id}, which the model lacks")
     taken_by = model.cameras[image.camera_id]
     file = folder / image.name
+    lens = taken_by.lens()  # what OpenCV lacks has no focal length to look for, either
     camera = checked_camera(taken_by.pinhole(_pose(image)), f"camera {taken_by.id} or the pose of {image.name!r}")
     camera = camera_of_picture(camera, picture_size(file), str(file))
     mask = _mask_file(folder, image.name)
@@ -78,7 +79,7 @@ def _view(model: ColmapModel, image: ColmapImage, folder: Path, name: str, senso
         camera,
         partial(read_color, file),
         sensor=sensor,
-        lens=taken_by.lens(),
+        lens=lens,
         mask_source=partial(read_mask, mask) if mask is not None else None,
     )
 
@@ -125,11 +126,26 @@ def _check_parameters(folder: Path, camera: ColmapCamera) -> None:
 
 
 def _image_folder(path: Path, model_folder: Path, model: ColmapModel) -> Path:
-    """Where the pictures lie: beside the model or above it, in the folder that has the most of the first ones."""
+    """Where the pictures lie: beside the model or above it, or in any other folder of `path`.
+
+    It is the one that has the most of the first ones. Raises `CaptureError` where none has any.
+    """
     above = [path, *(model_folder.resolve().parents[:_FOLDERS_UP]), model_folder]
     wanted = [image.name for image in model.images[:10]]
-    folders = [base / name for base in above for name in _IMAGE_FOLDERS]
-    return max(folders, key=lambda folder: sum((folder / name).is_file() for name in wanted))
+    usual = [base / name for base in above for name in _IMAGE_FOLDERS]
+    for folders in (usual, [each for each in (*path.glob("*/"), *path.glob("*/*/")) if each.is_dir()]):
+        best = max(folders, key=lambda folder: _holds(folder, wanted), default=None)
+        if best is not None and _holds(best, wanted):
+            return best
+    there = path / _IMAGE_FOLDERS[0]
+    raise CaptureError(
+        f"{model_folder}: none of its {len(model.images)} images lies in {path} ({wanted[0]}, say); put them into "
+        f"{there}, or a link to where they are (ln -s FOLDER {there})"
+    )
+
+
+def _holds(folder: Path, names: list[str]) -> int:
+    return sum((folder / name).is_file() for name in names)
 
 
 def _mask_file(folder: Path, name: str) -> Path | None:

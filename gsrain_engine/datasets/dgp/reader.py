@@ -38,7 +38,13 @@ def recognizes_dgp(path: Path) -> bool:
 def read_dgp(path: Path) -> Capture:
     """Read one scene; of a data set the first that is there, the others are named in the capture's problems."""
     problems: list[str] = []
-    return _Scene.opened(_scene_of(path, problems), problems).capture()
+    file = _scene_of(path, problems)
+    try:
+        return _Scene.opened(file, problems).capture()
+    except CaptureError:
+        raise
+    except WRONG_VALUES as error:
+        raise CaptureError(f"{file}: {what_is_wrong(error)}") from None
 
 
 def _dataset_files(folder: Path) -> list[Path]:
@@ -62,7 +68,10 @@ def _first_scene(dataset: Path, problems: list[str]) -> Path:
         listed = dict.fromkeys(str(name) for split in dict(splits or {}).values() for name in split["filenames"])
     except WRONG_VALUES as error:
         raise CaptureError(f"{dataset}: scene_splits {what_is_wrong(error)}") from None
-    there = [name for name in listed if (dataset.parent / name).is_file()]
+    try:
+        there = [name for name in listed if (dataset.parent / name).is_file()]
+    except OSError as error:
+        raise CaptureError(f"{dataset}: names a scene that no disk can hold ({error.strerror})") from None
     if not there:
         raise CaptureError(f"{dataset}: none of its {len(listed)} scenes is there")
     missing = [name for name in listed if name not in there]
@@ -204,7 +213,8 @@ class _Lidar:
         to_vehicle = self.sensor.to_vehicle
         points = transformed(to_vehicle, rows[:, [fields.index(axis) for axis in "XYZ"]])
         intensity = next((fields.index(name) for name in ("I", "INTENSITY") if name in fields), None)
-        light = None if intensity is None else rows[:, intensity].astype(np.float32)
+        with np.errstate(over="ignore"):
+            light = None if intensity is None else rows[:, intensity].astype(np.float32)
         return Scan(self.time_s, self.vehicle_to_world, points, to_vehicle[:3, 3], light)
 
 

@@ -1,19 +1,28 @@
 """Reads NumPy files of pixels; a file that is cut, or lies about its size, allocates nothing."""
 
+import os
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
 
+from gsrain_engine.array_header import array_bytes, read_array_header
+
 from ..capture import CaptureError
+from .regular_file import check_regular
 
 
 def read_floats(file: Path) -> Float32[np.ndarray, "..."]:
     """Read a .npy file of real numbers; `CaptureError` that names it where it can't be read."""
+    check_regular(file)
     try:
-        mapped = np.load(file, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError, SyntaxError, TypeError) as error:
+        with file.open("rb") as stream:
+            shape, is_fortran, dtype = read_array_header(stream)
+            wanted, left = array_bytes(shape, dtype), os.fstat(stream.fileno()).st_size - stream.tell()
+            if wanted != left:
+                raise ValueError(f"an array of {dtype} {shape} takes {wanted} bytes, {left} are there")
+            numbers = np.frombuffer(stream.read(wanted), dtype)
+    except (OSError, ValueError) as error:
         raise CaptureError(f"{file}: not a readable .npy file ({error})") from None
-    if not isinstance(mapped, np.ndarray) or mapped.dtype.kind not in "fiub":
-        raise CaptureError(f"{file}: holds no array of real numbers")
-    return np.array(mapped, np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too large for 32 bits becomes infinite
+        return np.array(numbers.reshape(shape, order="F" if is_fortran else "C"), np.float32, order="C")

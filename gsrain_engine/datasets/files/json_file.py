@@ -5,14 +5,22 @@ from pathlib import Path
 from typing import Any
 
 from ..capture import CaptureError
+from .regular_file import check_regular
+
+_MOST_BYTES = 1 << 30
 
 
 def read_json(file: Path) -> Any:
-    """Read a JSON file; `CaptureError` that names it where it is missing or broken."""
+    """Read a JSON file; `CaptureError` that names it where it is missing, broken or larger than 1 GB."""
     try:
+        check_regular(file)
+        if file.stat().st_size > _MOST_BYTES:
+            raise CaptureError(f"{file}: has more than {_MOST_BYTES >> 30} GB")
         return json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise CaptureError(f"{file}: no such file") from None
+    except CaptureError:
+        raise
     except (OSError, ValueError, RecursionError) as error:
         raise CaptureError(f"{file}: not a JSON file that can be read ({error})") from None
 

@@ -12,6 +12,8 @@ import numpy as np
 from ..capture import CaptureError
 
 _ROWS_AT_ONCE = 8
+_DAMAGES = (OSError, ValueError, KeyError, TypeError, IndexError, NotImplementedError, MemoryError)
+"""What Arrow's errors are kinds of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +36,7 @@ class ParquetFile:
                 arrays = [(name, batch.column(name)) for name in read]
                 for k in range(batch.num_rows):
                     yield {**absent, **{name: _plain(array[k]) for name, array in arrays}}
-        except (OSError, ValueError, KeyError) as error:
+        except _DAMAGES as error:
             raise CaptureError(f"{self.path}: can't be read ({error})") from None
 
     def row_groups(self, columns: Sequence[str]) -> list[tuple[int, int, dict[str, Any]]]:
@@ -46,7 +48,7 @@ class ParquetFile:
                 for group in range(opened.num_row_groups)
                 for place, row in enumerate(opened.read_row_group(group, columns=list(columns)).to_pylist())
             ]
-        except (OSError, ValueError, KeyError) as error:
+        except _DAMAGES as error:
             raise CaptureError(f"{self.path}: can't be read ({error})") from None
 
     def cell(self, column: str, group: int, place: int) -> Any:
@@ -56,7 +58,7 @@ class ParquetFile:
     def _opened(self) -> Any:
         try:
             return _parquet().ParquetFile(self.path)
-        except (OSError, ValueError) as error:
+        except _DAMAGES as error:
             raise CaptureError(f"{self.path}: not a Parquet file that can be read ({error})") from None
 
     @staticmethod
@@ -68,7 +70,7 @@ class ParquetFile:
 def _group(path: Path, column: str, group: int) -> Any:
     try:
         return _parquet().ParquetFile(path).read_row_group(group, columns=[column]).column(column)
-    except (OSError, ValueError, KeyError) as error:
+    except _DAMAGES as error:
         raise CaptureError(f"{path}: can't be read ({error})") from None
 
 

@@ -1,19 +1,27 @@
 """Reads pictures of a data set, and tells cheaply whether one is there, whole, and of which size."""
 
+import io
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Shaped, UInt8
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image, ImageOps
 
 from ..capture import CaptureError
+from .expansion import check_expansion
+from .regular_file import check_regular
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 """Names of pictures end with one of these, in small or capital letters."""
 
 _TAIL_BYTES = 1 << 16
 _JPEG_END, _PNG_END = b"\xff\xd9", b"IEND"
-_BROKEN = (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError)
+_BYTES_OF_A_PIXEL = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I;16L": 2}
+"""Of Pillow's modes; four of all others."""
+_LONGEST_PX = 16384
+"""A side of a camera's picture, as of all cameras here."""
 _WITH_EXIF = ("JPEG", "MPO", "WEBP", "TIFF")
 """Formats whose turn stands before the pixels: a PNG would have to be read to its end."""
 _EXIF_ORIENTATION, _SIDEWAYS = 0x0112, (5, 6, 7, 8)
@@ -34,15 +42,10 @@ def picture_size(file: Path, upright: bool = False) -> tuple[int, int]:
 
     `upright` gives the size as a person looks at it (EXIF). Raises `CaptureError` for what is no whole picture.
     """
-    try:
-        with Image.open(file) as picture:
-            width, height = picture.size
-            whole = _ends(file, picture.format)
-            turned = upright and picture.format in _WITH_EXIF and picture.getexif().get(_EXIF_ORIENTATION) in _SIDEWAYS
-    except FileNotFoundError:
-        raise CaptureError(f"{file}: no such picture") from None
-    except _BROKEN as error:
-        raise CaptureError(f"{file}: not a readable picture ({error})") from None
+    with opened_picture(file, str(file)) as picture:
+        width, height = picture.size
+        whole = _ends(file, picture.format)
+        turned = upright and picture.format in _WITH_EXIF and picture.getexif().get(_EXIF_ORIENTATION) in _SIDEWAYS
     if not whole:
         raise CaptureError(f"{file}: the picture is cut off; its end is missing")
     return (height, width) if turned else (width, height)
@@ -50,14 +53,11 @@ def picture_size(file: Path, upright: bool = False) -> tuple[int, int]:
 
 def read_color(file: Path, upright: bool = False) -> UInt8[np.ndarray, "h w 3"]:
     """Read a picture as display colour, as the sensor lay unless `upright`; `CaptureError` where it can't be read."""
-    try:
-        with Image.open(file) as opened:
-            picture = ImageOps.exif_transpose(opened) if upright and opened.format in _WITH_EXIF else opened
-            if picture.mode.startswith(("I", "F")):
-                return np.repeat(_eight_bits(np.asarray(picture))[..., None], 3, axis=2)
-            return np.array(picture.convert("RGB"), np.uint8)
-    except _BROKEN as error:
-        raise CaptureError(f"{file}: not a readable picture ({error})") from None
+    with opened_picture(file, str(file)) as opened:
+        picture = ImageOps.exif_transpose(opened) if upright and opened.format in _WITH_EXIF else opened
+        if picture.mode.startswith(("I", "F")):
+            return np.repeat(_eight_bits(np.asarray(picture))[..., None], 3, axis=2)
+        return np.array(picture.convert("RGB"), np.uint8)
 
 
 def read_labels(file: Path) -> UInt8[np.ndarray, "h w"]:
@@ -71,11 +71,8 @@ def read_labels(file: Path) -> UInt8[np.ndarray, "h w"]:
 
 def read_stored(file: Path) -> Shaped[np.ndarray, "h w ..."]:
     """Read the numbers of a picture as they are stored: 16-bit depth, palette indices, all channels."""
-    try:
-        with Image.open(file) as picture:
-            return np.array(picture)
-    except _BROKEN as error:
-        raise CaptureError(f"{file}: not a readable picture ({error})") from None
+    with opened_picture(file, str(file)) as picture:
+        return np.array(picture)
 
 
 def read_mask(file: Path) -> Bool[np.ndarray, "h w"]:
@@ -83,9 +80,38 @@ def read_mask(file: Path) -> Bool[np.ndarray, "h w"]:
     return read_labels(file) > 0
 
 
+@contextmanager
+def opened_picture(source: Path | bytes, name: str) -> Generator[Image.Image]:
+    """Open a picture, a file or its bytes, whose pixels are decoded in the block; `name` is told in errors.
+
+    Raises `CaptureError` where it can't be read, or says that it is larger than its bytes can be.
+    """
+    try:
+        size = len(source) if isinstance(source, bytes) else _file_bytes(source)
+        with Image.open(io.BytesIO(source) if isinstance(source, bytes) else source) as picture:
+            if max(picture.size) > _LONGEST_PX:
+                raise CaptureError(
+                    f"{name}: {picture.size[0]}x{picture.size[1]} px; at most {_LONGEST_PX} a side can be used"
+                )
+            pixels = picture.size[0] * picture.size[1]
+            check_expansion(name, pixels * _BYTES_OF_A_PIXEL.get(picture.mode, 4), size)
+            yield picture
+    except FileNotFoundError:
+        raise CaptureError(f"{name}: no such picture") from None
+    except CaptureError:
+        raise
+    except Exception as error:  # a damaged picture fails in as many ways as there are formats
+        raise CaptureError(f"{name}: not a readable picture ({error or type(error).__name__})") from None
+
+
+def _file_bytes(file: Path) -> int:
+    check_regular(file)
+    return file.stat().st_size
+
+
 def _eight_bits(values: np.ndarray) -> UInt8[np.ndarray, "h w"]:
     """The upper byte of 16-bit grey."""
-    return (np.clip(values.astype(np.float64), 0, 65535) / 257 + 0.5).astype(np.uint8)
+    return (np.clip(np.nan_to_num(values.astype(np.float64)), 0, 65535) / 257 + 0.5).astype(np.uint8)
 
 
 def _ends(file: Path, kind: str | None) -> bool:

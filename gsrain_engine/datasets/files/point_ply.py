@@ -9,6 +9,7 @@ from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats.ply_header import element_rows, read_ply_header
 
 from ..capture import CaptureError
+from .regular_file import check_regular
 
 _LARGEST_HEADER = 1 << 20
 _COLORS = ("red", "green", "blue")
@@ -16,6 +17,7 @@ _COLORS = ("red", "green", "blue")
 
 def read_point_ply(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarray, "p 3"] | None]:
     """Read points that are finite, and their colours (0..255); `CaptureError` that names the file where that fails."""
+    check_regular(file)
     try:
         with file.open("rb") as stream:
             text = b"\nformat ascii" in stream.read(_LARGEST_HEADER).partition(b"end_header")[0]

@@ -9,7 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from gsrain_engine.printable import printable
+
 from ..capture import CaptureError
+from .pickle_walk import lying_instruction
 
 _MOST_BYTES = 8 << 30
 
@@ -22,6 +25,9 @@ def read_pickle(file: Path) -> Any:
         content = file.read_bytes()
     except OSError as error:
         raise CaptureError(f"{file}: can't be read ({error})") from None
+    lying = lying_instruction(content)
+    if lying is not None:
+        raise CaptureError(f"{file}: not a readable pickle (damaged or cut off at byte {lying} of {len(content)})")
     try:
         return _PlainValues(io.BytesIO(content)).load()
     except pickle.UnpicklingError as error:
@@ -38,8 +44,9 @@ class _PlainValues(pickle.Unpickler):
     def find_class(self, module: str, name: str, /) -> Any:
         found = _ALLOWED.get((_OLD_MODULES.get(module, module).replace("numpy._core", "numpy.core"), name))
         if found is None:
+            asked = printable(f"{module}.{name}")
             raise pickle.UnpicklingError(
-                f"refused, for it asks for {module}.{name}; a file of data holds plain values and NumPy arrays"
+                f"refused, for it asks for {asked}; a file of data holds plain values and NumPy arrays"
             )
         return found
 

@@ -33,8 +33,9 @@ def rigid_from_quaternion(quaternion_wxyz: Any, translation: Any) -> Float64[np.
     turn, place = np.asarray(quaternion_wxyz, np.float64), np.asarray(translation, np.float64)
     if turn.shape != (4,) or place.shape != (3,):
         raise ValueError("a pose has 4 numbers for its rotation (w x y z) and 3 for its translation")
-    length = np.linalg.norm(turn)
-    if not (1e-6 < length < _FARTHEST_M and np.abs(place).max() < _FARTHEST_M):
+    in_bounds = np.abs(turn).max() < _FARTHEST_M and np.abs(place).max() < _FARTHEST_M
+    length = np.linalg.norm(turn) if in_bounds else 0.0
+    if not length > 1e-6:
         raise ValueError("the numbers of a pose must be finite, its place on this planet and its quaternion not zero")
     return rigid(matrices_from_quaternions(turn / length), place)
 
@@ -70,6 +71,7 @@ def inverse(pose: Float[np.ndarray, "*n 4 4"]) -> Float64[np.ndarray, "*n 4 4"]:
     return matrix
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is no number stays none, and is refused by who takes the points
 def transformed(pose: Float[np.ndarray, "4 4"], points_m: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
     """Return the points in the frame that the pose leads to."""
     return points_m @ pose[:3, :3].T + pose[:3, 3]

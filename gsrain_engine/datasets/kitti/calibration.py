@@ -18,6 +18,9 @@ from ..geometry.rigid_poses import moved_to
 Calibration = dict[str, Float64[np.ndarray, " _"]]
 """Numbers of each line of a file, by its name."""
 
+_LARGEST = 1e12
+"""Larger numbers are those of damaged files."""
+
 IMU_HEIGHT_M, CAMERA_HEIGHT_M = 0.93, 1.65
 """Of the recording car's sensors above the road (figure 3 of the paper)."""
 
@@ -37,7 +40,7 @@ def read_calibration(file: Path) -> Calibration:
 def numbers_of(values: Calibration, name: str, count: int, file: Path) -> Float64[np.ndarray, " n"]:
     """Numbers of one name; `CaptureError` where there are none or others than `count`."""
     found = values.get(name)
-    if found is None or len(found) != count or not np.isfinite(found).all():
+    if found is None or len(found) != count or not np.abs(found).max(initial=0) < _LARGEST:
         has = "no such line" if found is None else f"{len(found)} numbers"
         raise CaptureError(f"{file}: expected {count} finite numbers at {name}, it has {has}")
     return found

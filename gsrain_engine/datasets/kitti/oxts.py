@@ -17,6 +17,8 @@ from .calibration import read_text
 OxtsRecord = Float64[np.ndarray, "6"]
 """Latitude, longitude (degrees), altitude (m), roll, pitch, yaw (rad)."""
 
+_LARGEST = 1e6
+"""Of angles and of metres above the sea: beyond, a record is damaged."""
 _EARTH_RADIUS_M = 6378137.0
 
 
@@ -27,7 +29,7 @@ def read_oxts(file: Path) -> OxtsRecord:
         values = np.array([float(word) for word in words[:6]], np.float64)
     except ValueError as error:
         raise CaptureError(f"{file}: {error}") from None
-    if len(values) != 6 or not np.isfinite(values).all() or abs(values[0]) >= 90:
+    if len(values) != 6 or not np.abs(values).max() < _LARGEST or abs(values[0]) >= 90:
         raise CaptureError(f"{file}: expected latitude, longitude, altitude, roll, pitch and yaw first")
     return values
 

@@ -14,7 +14,7 @@ from ..capture import Capture, CaptureError
 from ..driving_record import DrivingRecord, Scan
 from ..files.picture_file import pictures_in
 from ..geometry.box_tracks import BoxSample
-from ..geometry.rigid_poses import inverse, rigid, transformed
+from ..geometry.rigid_poses import inverse, rigid_from_numbers, transformed
 from ..named_problems import some_names
 from .calibration import (
     IMU_HEIGHT_M,
@@ -72,7 +72,7 @@ class _Drive:
         day = folder if (folder / _CALIBRATIONS[0]).is_file() else folder.parent
         cam_to_cam, velo_to_cam, imu_to_velo = (read_calibration(day / name) for name in _CALIBRATIONS)
         self._projections, self._cam_file = cam_to_cam, day / _CALIBRATIONS[0]
-        rectify = rigid(numbers_of(cam_to_cam, "R_rect_00", 9, self._cam_file).reshape(3, 3), np.zeros(3))
+        rectify = _rigid(numbers_of(cam_to_cam, "R_rect_00", 9, self._cam_file), np.zeros(3), self._cam_file)
         self.lidar_to_first = rectify @ _given(velo_to_cam, day / _CALIBRATIONS[1])
         self.imu_to_lidar = _given(imu_to_velo, day / _CALIBRATIONS[2])
         self.poses = self._oxts()
@@ -165,7 +165,14 @@ class _Drive:
 
 def _given(values: Calibration, file: Path) -> Float64[np.ndarray, "4 4"]:
     """Pose of the lines R and T."""
-    return rigid(numbers_of(values, "R", 9, file).reshape(3, 3), numbers_of(values, "T", 3, file))
+    return _rigid(numbers_of(values, "R", 9, file), numbers_of(values, "T", 3, file), file)
+
+
+def _rigid(turn: Float64[np.ndarray, "9"], place: Float64[np.ndarray, "3"], file: Path) -> Float64[np.ndarray, "4 4"]:
+    try:
+        return rigid_from_numbers(np.column_stack([turn.reshape(3, 3), place]))
+    except ValueError as error:
+        raise CaptureError(f"{file}: {error}") from None
 
 
 def _number(file: Path) -> int:

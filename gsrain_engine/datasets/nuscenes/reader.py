@@ -15,6 +15,7 @@ from jaxtyping import Float32, Float64
 from ..capture import Capture, CaptureError, View
 from ..driving_record import DrivingRecord, Scan
 from ..files.picture_file import picture_size, read_color
+from ..files.regular_file import check_regular
 from ..geometry.box_tracks import BoxSample
 from ..geometry.opencv_camera import opencv_camera_of_matrix
 from ..geometry.rigid_poses import inverse, rigid_from_quaternion, transformed
@@ -174,6 +175,7 @@ def read_nuscenes_points(
     file: Path, columns: int = _LIDAR_COLUMNS
 ) -> tuple[Float32[np.ndarray, "p 3"], Float32[np.ndarray, " p"]]:
     """Points (m, in the lidar's frame: x right, y forward, z up) and intensities (0..255) of a .pcd.bin."""
+    check_regular(file)
     try:
         values = np.fromfile(file, np.float32)
     except OSError as error:

@@ -155,6 +155,6 @@ class NuScenesTables:
             rows: list[Any] = msgspec.json.decode(file.read_bytes(), type=list[kind])
         except FileNotFoundError:
             raise CaptureError(f"{file}: this table of nuScenes is missing") from None
-        except (OSError, msgspec.DecodeError, RecursionError) as error:
+        except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise CaptureError(f"{file}: {error}") from None
         return {row.token: row for row in rows}

@@ -20,6 +20,7 @@ from .sequence import RainSequence, find_rain_sequences, read_numbers, read_rain
 _INTENSITY = "context/rainfall_intensity.txt"
 _DEPTHS = ("", "*/", "*/*/", "*/*/*/")
 _LABEL_WORDS = 15
+_FARTHEST_M = 1e6
 _NOTED_SKEW, _MOST_SKEWED = 0.005, 0.1
 RAIN = "rain_mm_h"
 """The attribute of each view that says how hard it rained."""
@@ -102,6 +103,8 @@ def _sweeps(folder: Path, sequence: RainSequence, times: dict[int, float], probl
 def _lidar_to_camera(file: Path, problems: list[str]) -> Float64[np.ndarray, "4 4"]:
     """Return the rotation nearest to what the file holds (by singular values), for its matrix is a little skewed."""
     matrix = np.array(read_numbers(file, 16)).reshape(4, 4)
+    if not np.abs(matrix).max() < _FARTHEST_M:
+        raise CaptureError(f"{file}: must hold a rotation and a translation on this planet")
     left, stretch, right = np.linalg.svd(matrix[:3, :3])
     off = float(np.abs(stretch - 1).max())
     if not off < _MOST_SKEWED or np.linalg.det(left @ right) < 0:
@@ -120,7 +123,7 @@ def _sweep(file: Path, time_s: float, to_world: Float64[np.ndarray, "4 4"]) -> S
         table = np.array(rows, np.float64).reshape(-1, 4)
     except (OSError, ValueError) as error:
         raise CaptureError(f"{file}: no table of X, Y, Z, Reflectivity ({error})") from None
-    table = table[np.isfinite(table).all(axis=1)]
+    table = table[(np.abs(table) < _FARTHEST_M).all(axis=1)]
     points = transformed(to_world, table[:, :3]).astype(np.float32)
     return Sweep(time_s, points, to_world[:3, 3].copy(), table[:, 3].astype(np.float32))
 
@@ -151,6 +154,8 @@ def _labelled(file: Path, sequence: RainSequence, time_s: float) -> list[BoxSamp
                 raise ValueError(f"line {row + 1} has {len(words)} words, expected {_LABEL_WORDS}")
             continue
         height, width, length, x, y, z, turn = (float(word) for word in words[8:_LABEL_WORDS])
+        if not max(abs(number) for number in (x, y, z, turn)) < _FARTHEST_M:
+            raise ValueError(f"line {row + 1} has a place that is none")
         about_y = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
         # KITTI: the thing's length lies along its own x, which the turn leads to the camera's axes; y is down.
         object_axes = rigid(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3))

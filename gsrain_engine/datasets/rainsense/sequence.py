@@ -17,6 +17,7 @@ from jaxtyping import Float64, UInt8
 from gsrain_engine.scene.camera import Camera, look_at
 
 from ..capture import Capture, CaptureError, Lens, View
+from ..files.picture_file import picture_size
 from ..geometry.opencv_camera import opencv_camera
 
 CAMERA_HEIGHT_M = 1.5
@@ -24,6 +25,7 @@ CAMERA_HEIGHT_M = 1.5
 
 _INTENSITY, _INTRINSICS = Path("context/rainfall_intensity.txt"), Path("context/camera_intrinsics.txt")
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+_LATEST_S = 1e12
 _IMAGE_NUMBER = re.compile(r"image_(\d+)\.jpg")
 
 
@@ -64,9 +66,7 @@ class RainSequence:
 
     def _read(self, number: int, mode: int) -> UInt8[np.ndarray, "..."]:
         file = self.images[number]
-        picture = cv2.imdecode(np.fromfile(file, np.uint8), mode) if file.stat().st_size else None
-        if picture is None:
-            raise CaptureError(f"{file}: not a readable JPEG")
+        picture = _decoded(file, mode)
         expected = (self.camera.height, self.camera.width)
         if picture.shape[:2] != expected:
             raise CaptureError(f"{file}: {picture.shape[:2]} pixels, its sequence begins with {expected}")
@@ -91,9 +91,7 @@ def read_rain_sequence(folder: Path, name: str | None = None) -> RainSequence:
     if not 0 <= intensity <= 500:
         raise ValueError(f"{folder / _INTENSITY}: {intensity} mm/h, expected 0 to 500")
     k = read_numbers(folder / _INTRINSICS, 14)
-    first = cv2.imdecode(np.fromfile(images[0], np.uint8), cv2.IMREAD_GRAYSCALE) if images[0].stat().st_size else None
-    if first is None:
-        raise ValueError(f"{images[0]}: not a readable JPEG")
+    first = _decoded(images[0], cv2.IMREAD_GRAYSCALE)
     eye = np.array([0.0, 0.0, CAMERA_HEIGHT_M])
     pose = look_at(eye, eye + [1.0, 0.0, 0.0], np.array([0.0, 0.0, 1.0]))
     try:
@@ -106,18 +104,42 @@ def read_rain_sequence(folder: Path, name: str | None = None) -> RainSequence:
 
 def read_numbers(file: Path, count: int) -> list[float]:
     """Read the numbers of a file of `name: values` lines and matrix rows."""
-    lines = file.read_text(encoding="utf-8").splitlines()
+    lines = _text(file).splitlines()
     words = [word for line in lines for word in _NUMBER.findall(line.rpartition(":")[2])]
     if len(words) != count:
         raise ValueError(f"{file}: {len(words)} numbers, expected {count}")
     return [float(word) for word in words]
 
 
+def _decoded(file: Path, mode: int) -> UInt8[np.ndarray, "..."]:
+    """Decode a picture by OpenCV, as RainSense's own tools do; `CaptureError` where it is broken, or cut off."""
+    picture_size(file)  # a bomb, or a file of another kind, is refused before
+    try:
+        picture = cv2.imdecode(np.fromfile(file, np.uint8), mode)
+    except cv2.error:
+        picture = None
+    if picture is None:
+        raise CaptureError(f"{file}: not a readable JPEG")
+    return np.asarray(picture, np.uint8)
+
+
 def _times(file: Path, images: Sequence[Path]) -> tuple[float, ...]:
     """Seconds of pictures by their numbers: row N belongs to image_N."""
-    rows = file.read_text(encoding="utf-8").split()[1:]
+    rows = _text(file).split()[1:]
     numbers = [int(match[1]) for image in images if (match := _IMAGE_NUMBER.fullmatch(image.name))]
     if max(numbers) >= len(rows):
         raise ValueError(f"{file}: {len(rows)} time stamps, expected at least {max(numbers) + 1}")
-    stamps = [float(rows[number].partition(",")[0]) for number in numbers]
-    return tuple(stamp - float(rows[0].partition(",")[0]) for stamp in stamps)
+    try:
+        first, *stamps = (float(rows[number].partition(",")[0]) for number in (0, *numbers))
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+    if not all(abs(stamp) < _LATEST_S for stamp in (first, *stamps)):
+        raise ValueError(f"{file}: holds a time that is none")
+    return tuple(stamp - first for stamp in stamps)
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{file}: no text ({error})") from None

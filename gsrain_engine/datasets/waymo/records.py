@@ -72,10 +72,11 @@ class _Segment:
         return self.record.capture()
 
     def _take(self, place: TFRecord, frame: Any, number: int) -> None:
-        if self.name and frame.context.name != self.name:
-            self.record.problems.append(f"frame {number} left out: it is of another segment ({frame.context.name})")
+        name = _text(frame.context.name)
+        if self.name and name != self.name:
+            self.record.problems.append(f"frame {number} left out: it is of another segment ({name})")
             return
-        self.name = frame.context.name
+        self.name = name
         time = frame.timestamp_micros * _US
         try:
             pose = rigid_from_numbers(frame.pose.transform)
@@ -90,7 +91,14 @@ class _Segment:
             self.with_lidar += 1
             for each in frame.context.laser_calibrations:
                 if each.name not in self.lasers:
-                    self.lasers[each.name] = _laser(each)
+                    self._take_laser(each, number)
+
+    def _take_laser(self, calibration: Any, number: int) -> None:
+        try:
+            self.lasers[calibration.name] = _laser(calibration)
+        except ValueError as error:
+            named = LASERS.get(calibration.name, str(calibration.name))
+            self.record.problems.append(f"the calibration of lidar {named} in frame {number} left out: {error}")
 
     def _pictures(self, place: TFRecord, frame: Any, number: int) -> None:
         calibrations = {each.name: each for each in frame.context.camera_calibrations}
@@ -115,7 +123,7 @@ class _Segment:
             to_world = pose @ heading_pose((box.center_x, box.center_y, box.center_z), box.heading)
             size = (box.length, box.width, box.height)
             try:
-                sample = BoxSample(label.id, CLASSES.get(label.type, "unknown"), time_s, size, to_world)
+                sample = BoxSample(_text(label.id), CLASSES.get(label.type, "unknown"), time_s, size, to_world)
             except ValueError as error:
                 self.record.problems.append(f"a box of frame {number} left out: {error}")
             else:
@@ -149,6 +157,11 @@ class _Segment:
             if image.range_image_pose_compressed:
                 poses = _matrix(image.range_image_pose_compressed)
             yield self.lasers[laser.name].points(_matrix(image.range_image_compressed), poses, pose)
+
+
+def _text(words: str | bytes) -> str:
+    """Text of a message; protobuf gives what is no UTF-8 as bytes."""
+    return words if isinstance(words, str) else words.decode(errors="replace")
 
 
 def _camera(name: str, calibration: Any) -> WaymoCamera:

@@ -1,16 +1,15 @@
 """Waymo's cameras and boxes, which both releases of the data set describe alike."""
 
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, UInt8
-from PIL import Image
 
 from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S, Camera
 
-from ..capture import CaptureError, Lens, View
+from ..capture import Lens, View
+from ..files.picture_file import opened_picture
 from ..geometry.rigid_poses import OPENCV_FROM_VEHICLE_AXES, inverse, rigid
 
 CAMERAS = {
@@ -67,11 +66,8 @@ class WaymoCamera:
 
 def check_jpeg(content: bytes, size: tuple[int, int]) -> None:
     """Raise ValueError unless bytes look like a whole JPEG of a width and height."""
-    try:
-        with Image.open(io.BytesIO(content)) as picture:
-            found = picture.size
-    except (OSError, ValueError, SyntaxError) as error:
-        raise ValueError(f"not a readable picture ({error})") from None
+    with opened_picture(content, "its picture") as picture:
+        found = picture.size
     if found != size:
         raise ValueError(f"a picture of {found[0]}x{found[1]} px, its calibration says {size[0]}x{size[1]}")
     if b"\xff\xd9" not in content[-1024:]:
@@ -80,11 +76,8 @@ def check_jpeg(content: bytes, size: tuple[int, int]) -> None:
 
 def decoded(content: bytes, name: str) -> UInt8[np.ndarray, "h w 3"]:
     """Decode a JPEG. Raises `CaptureError` where it is damaged."""
-    try:
-        with Image.open(io.BytesIO(content)) as picture:
-            return np.array(picture.convert("RGB"), np.uint8)
-    except (OSError, ValueError, SyntaxError) as error:
-        raise CaptureError(f"{name}: not a readable picture ({error})") from None
+    with opened_picture(content, name) as picture:
+        return np.array(picture.convert("RGB"), np.uint8)
 
 
 def heading_pose(center_m: Sequence[float], heading_rad: float) -> Float64[np.ndarray, "4 4"]:

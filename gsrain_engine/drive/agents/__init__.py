@@ -1,0 +1,1 @@
+"""Drivers: what they are shown, and the plans that they make."""

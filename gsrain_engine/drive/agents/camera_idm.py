@@ -10,7 +10,7 @@ from gsrain_engine.evaluate.detection.detector import Detection
 from ..vehicle.vehicle import Vehicle
 from .agent import Needs, Plan
 from .idm_planner import IDMPlanner, cruise_speed
-from .lane_path import LanePath, front_m
+from .lane_path import LanePath
 from .leads.lead_watch import LeadWatch, WatchedLead
 from .leads.sighting import road_user_class, sightings
 from .observation import CameraView, Observation, Rig
@@ -71,7 +71,7 @@ class CameraIDMAgent:
         view = _front(observation)
         found = [each for each in self._detector.detect(view.image) if each.confidence >= _LEAST_CONFIDENCE]
         seen = sightings(found, view.camera, observation.height_m, path, self._vehicle)
-        front = path.along_m + front_m(self._vehicle)
+        front = path.along_m + self._vehicle.front_m
         watched = self._watch.look(seen, front, state.speed_m_s, observation.time_s - self._time_s)
         self._time_s = observation.time_s
         points = self._planner.points(path, watched and watched.lead)

@@ -5,6 +5,8 @@ from typing import Any
 
 import msgspec
 
+from gsrain_engine.printable import printable
+
 from .agent import Needs, Plan
 from .client_error import ClientError
 from .http_calls import HttpCalls
@@ -66,14 +68,19 @@ class HttpAgent:
         if self._rig is None:
             raise ClientError("there is no drive: reset the agent first")
         data = self._calls.post("/infer", neuroncap_message(observation, self._rig), self._answer_wait_s)
-        try:
-            reply = msgspec.json.decode(data, type=_Reply)
-        except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as problem:
-            raise ClientError(f"{self._calls.url}/infer answers what is no plan: {problem}") from None
-        return Plan(plan_points(reply.trajectory, self._calls.url), _notes(reply.aux_outputs))
+        return read_plan(data, self._calls.url)
 
     def close(self) -> None:
         """Nothing is held: the server waits for its next `/reset`."""
+
+
+def read_plan(data: bytes, url: str) -> Plan:
+    """Read what the server at `url` answers to `/infer`. Raises ClientError where it is no plan."""
+    try:
+        reply = msgspec.json.decode(data, type=_Reply)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as problem:
+        raise ClientError(f"{url}/infer answers what is no plan: {printable(problem)}") from None
+    return Plan(plan_points(reply.trajectory, url), _notes(reply.aux_outputs))
 
 
 def _notes(seen: _Objects | None) -> dict[str, Any]:

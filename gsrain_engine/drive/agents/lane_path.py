@@ -64,11 +64,6 @@ class LanePath:
         return self.left_m * float(np.exp(-ahead_m / reach))
 
 
-def front_m(vehicle: Vehicle) -> float:
-    """Return the distance from a vehicle's rear axle to its front bumper."""
-    return vehicle.length_m - vehicle.rear_overhang_m
-
-
 def half_corridor_m(vehicle: Vehicle) -> float:
     """Return how far to either side of the path a vehicle needs the road for itself."""
     return vehicle.width_m / 2 + _CLEARANCE_M

@@ -9,7 +9,7 @@ from ..traffic.road_user import RoadUser
 from ..vehicle.vehicle import Vehicle
 from .agent import Needs, Plan
 from .idm_planner import IDMPlanner, cruise_speed
-from .lane_path import LanePath, front_m, half_corridor_m
+from .lane_path import LanePath, half_corridor_m
 from .leads.lead import Lead
 from .observation import Observation, Rig
 
@@ -67,12 +67,12 @@ def known_lead(users: Sequence[RoadUser], path: LanePath, vehicle: Vehicle) -> K
 def _as_lead(user: RoadUser, path: LanePath, vehicle: Vehicle) -> Lead | None:
     corners = [path.place(float(x), float(y)) for x, y in user.box.corners]
     middle = path.place(user.x_m, user.y_m)
-    if middle.ahead_m < vehicle.middle_m or max(each.ahead_m for each in corners) < front_m(vehicle):
+    if middle.ahead_m < vehicle.middle_m or max(each.ahead_m for each in corners) < vehicle.front_m:
         return None
     turned = user.yaw_rad - path.heading(middle.ahead_m)
     half, sideways = half_corridor_m(vehicle), user.speed_m_s * float(np.sin(turned)) * _FORESIGHT_S
     low, high = min(each.left_m for each in corners), max(each.left_m for each in corners)
     if low + min(sideways, 0.0) > half or high + max(sideways, 0.0) < -half:
         return None
-    gap = min(each.ahead_m for each in corners) - front_m(vehicle)
+    gap = min(each.ahead_m for each in corners) - vehicle.front_m
     return Lead(gap, user.speed_m_s * float(np.cos(turned)))

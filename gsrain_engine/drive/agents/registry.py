@@ -3,20 +3,17 @@
 import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
 
 from gsrain_engine.evaluate.detection.detector_place import find_detector
+from gsrain_engine.extensions import AGENTS, Extension, extension, extensions
 
 from .agent import Agent
+from .agent_file import agent_file, agent_in_file
 from .constant_velocity import ConstantVelocityAgent
 from .http_agent import HttpAgent
 from .neuroncap_baseline import NeuroNCAPBaselineAgent
 from .oracle_idm import OracleIDMAgent
-
-GROUP = "gsrain.agents"
-"""Entry points of this group name a callable that takes `AgentOptions` and returns an `Agent`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,20 +57,21 @@ _SHIPPED: dict[str, Callable[[AgentOptions], Agent]] = {
 
 def agent_names() -> list[str]:
     """Names of all agents, the shipped ones first."""
-    return [*_SHIPPED, *sorted({each.name for each in entry_points(group=GROUP)} - set(_SHIPPED))]
+    return [*_SHIPPED, *(each.name for each in extensions(AGENTS) if each.name not in _SHIPPED)]
 
 
 def open_agent(name: str, options: AgentOptions | None = None) -> Agent:
-    """Make an agent ready.
+    """Make an agent ready: one of `agent_names`, or the one in a file of one's own (`my_driver.py`).
 
     Raises ValueError for an unknown name, where what it needs is missing, and where an installed one fails.
     """
     options = options or AgentOptions()
+    if agent_file(name) is not None:
+        return agent_in_file(name, options)
     if name in _SHIPPED:
         return _SHIPPED[name](options)
-    for each in entry_points(group=GROUP):
-        if each.name == name:
-            return _installed(each, options)
+    if (installed := extension(AGENTS, name)) is not None:
+        return _installed(installed, options)
     raise ValueError(f"agent {name}: there is none of that name, only {', '.join(agent_names())}")
 
 
@@ -96,19 +94,16 @@ def default_agent(options: AgentOptions) -> tuple[str, str | None]:
 _INSTEAD = "oracle-idm drives instead of camera-idm"
 
 
-def _installed(entry: Any, options: AgentOptions) -> Agent:
-    """Make an agent of another package; whatever fails in there, the sentence names the package.
-
-    `entry` is an EntryPoint of importlib.metadata, or of its backport where some library has put that in its place.
-    """
-    package = "an installed package" if entry.dist is None else entry.dist.name
+def _installed(extension: Extension, options: AgentOptions) -> Agent:
+    """Make an agent of another package; whatever fails in there, the sentence names the package."""
+    maker = extension.load_callable()
     try:
-        agent = entry.load()(options)
+        agent = maker(options)
     except Exception as error:  # it is code of others: its words are the reason
-        raise ValueError(f"agent {entry.name} ({entry.value} of {package}): {error or type(error).__name__}") from error
+        raise extension.unfit(error) from error
     if not isinstance(agent, Agent):
-        raise ValueError(
-            f"agent {entry.name} ({entry.value} of {package}): makes a {type(agent).__name__}, which has not the "
-            "properties and methods of an agent: name, needs, reset, plan, close"
+        raise extension.unfit(
+            f"makes a {type(agent).__name__}, which has not the properties and methods of an agent: name, needs, "
+            "reset, plan, close"
         )
     return agent

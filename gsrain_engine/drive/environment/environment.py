@@ -9,13 +9,14 @@ import msgspec
 import numpy as np
 from jaxtyping import UInt8
 
-from gsrain_engine.render.backends import Backend, open_renderer
+from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.scene.open_scene import open_to_draw
 from gsrain_engine.scene.scene import Scene
 
 from ..agents.agent import Needs, Plan
 from ..agents.observation import Observation
-from ..scenario.scenario import Scenario, load_scenario
+from ..scenario.scenario import Scenario
+from ..scenario.scenario_files import load_scenario
 from ..simulation.rig_pictures import RigPictures, needed_cameras
 from ..simulation.simulation import Simulation
 from .actions import control_of, control_space, plan_space

@@ -1,0 +1,1 @@
+"""HUGSIM's pipe protocol: outside drivers, unchanged."""

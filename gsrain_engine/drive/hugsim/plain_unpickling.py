@@ -7,6 +7,7 @@ or Python's own.
 import io
 import pickle
 import pickletools
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -32,8 +33,10 @@ def read_plain_pickle(data: bytes) -> Any:
     Raises ValueError, with what is wrong in a clause, for anything else; nothing that a pickle names is ever called.
     """
     try:
-        _check_steps(data)
-        return _plain(_PlainUnpickler(io.BytesIO(data)).load())
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of escapes that are none, in texts of protocol 0
+            _check_steps(data)
+            return _plain(_PlainUnpickler(io.BytesIO(data)).load())
     except (pickle.UnpicklingError, ValueError) as problem:
         raise ValueError(str(problem) or "it is no pickle") from None
     except (ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, RecursionError, TypeError) as problem:

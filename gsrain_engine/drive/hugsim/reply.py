@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float64
 
+from gsrain_engine.printable import printable
+
 from ..agents.client_error import ClientError
 from ..agents.plan_points import plan_points
 from .plain_unpickling import read_plain_pickle
@@ -19,5 +21,5 @@ def read_reply(data: bytes) -> Float64[np.ndarray, "n 2"] | None:
     try:
         value = read_plain_pickle(data)
     except ValueError as problem:
-        raise ClientError(f"the client sent {len(data)} bytes that can't be read: {problem}") from None
+        raise ClientError(f"the client sent {len(data)} bytes that can't be read: {printable(problem)}") from None
     return None if value is None else plan_points(value, "the client")

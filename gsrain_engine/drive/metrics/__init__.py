@@ -1,0 +1,1 @@
+"""What a roll-out is worth, each measure by its definition."""

@@ -12,11 +12,11 @@ from matplotlib.patches import Polygon
 
 from ..road.planar_box import PlanarBox
 from ..road.route import Route
-from ..simulation.rollout import Rollout, RolloutStep
+from ..rollouts.rollout import Rollout, RolloutStep
+from ..rollouts.run_setting import run_setting
 from ..vehicle.state import VehicleState
 from .logged_traffic import user_boxes
 from .planned_poses import ego_box, ego_pose, planned_poses
-from .run_setting import run_setting
 
 _WIDTH_IN, _TALLEST_IN = 13.0, 7.0
 _EGO, _OTHER, _PLAN, _HIT, _ROUTE = "#1f5f8b", "#8a5a2b", "#2f9e5b", "#d3202a", "#b8bfc7"

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..simulation.rollout import Rollout
+from ..rollouts.rollout import Rollout
 
 
 class Collision(NamedTuple):

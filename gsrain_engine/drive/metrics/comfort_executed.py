@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..simulation.rollout import Rollout
+from ..rollouts.rollout import Rollout
 from .comfort_limits import PAPER, ComfortLimits, Motion
 
 

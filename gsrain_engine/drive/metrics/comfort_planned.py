@@ -3,10 +3,10 @@
 import numpy as np
 from jaxtyping import Float64
 
-from ..simulation.rollout import Rollout
+from ..rollouts.rollout import Rollout
+from ..rollouts.run_setting import planned_frames
 from .comfort_limits import PAPER, ComfortLimits, Motion
 from .planned_poses import PlanReading, planned_poses, with_start
-from .run_setting import planned_frames
 
 _FEWEST = 4
 """Fewer poses than this have no jerk; they count as comfortable."""

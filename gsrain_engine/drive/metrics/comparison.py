@@ -7,7 +7,7 @@ from typing import NamedTuple
 from gsrain_engine.evaluate.mean_interval import MeanInterval, mean_interval
 from gsrain_engine.evaluate.share_interval import share_interval
 
-from ..simulation.rollout import Rollout
+from ..rollouts.rollout import Rollout
 from .hd_score import DrivableArea
 from .planned_collisions import Touchable
 from .summary import DriveMetrics, measured

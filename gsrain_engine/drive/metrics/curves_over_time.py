@@ -8,7 +8,7 @@ from jaxtyping import Float64
 
 from gsrain_engine.evaluate.mean_interval import MeanInterval, mean_interval
 
-from ..simulation.rollout import Rollout
+from ..rollouts.rollout import Rollout
 from .comparison import WeatherRuns
 from .time_to_collision import gaps_m, times_to_collision_s
 

@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..road.planar_box import PlanarBox
-from ..simulation.rollout import Rollout, RolloutStep
+from ..rollouts.rollout import Rollout, RolloutStep
+from ..rollouts.run_setting import planned_frames, run_setting
 from ..vehicle.vehicle import Vehicle
 from .comfort_planned import is_plan_comfortable
 from .logged_traffic import LoggedTraffic
 from .planned_collisions import Touchable, future_times_s, pose_hits
 from .planned_poses import ego_box, planned_poses, with_start
-from .run_setting import planned_frames, run_setting
 
 _TTC_WEIGHT, _COMFORT_WEIGHT = 5.0, 2.0
 _LOOK_AHEAD_S = (0.5, 1.0)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..angles import wrapped
 from ..road.planar_box import PlanarBox
-from ..simulation.rollout import Rollout, UserModel, UserRecord
+from ..rollouts.rollout import Rollout, UserModel, UserRecord
 
 _SAME_S = 1e-6
 

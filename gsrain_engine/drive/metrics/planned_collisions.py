@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..road.planar_box import PlanarBox
-from ..simulation.rollout import Rollout, RolloutStep
+from ..rollouts.rollout import Rollout, RolloutStep
+from ..rollouts.run_setting import planned_frames, run_setting
 from ..vehicle.vehicle import Vehicle
 from .logged_traffic import LoggedTraffic
 from .planned_poses import PlanReading, ego_box, planned_poses
-from .run_setting import planned_frames, run_setting
 
 
 @runtime_checkable

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..road.planar_box import PlanarBox
-from ..simulation.rollout import EgoRecord, RolloutStep
+from ..rollouts.rollout import EgoRecord, RolloutStep
 from ..vehicle.body import vehicle_box
 from ..vehicle.state import VehicleState
 from ..vehicle.vehicle import Vehicle

@@ -10,7 +10,7 @@ from gsrain_engine.evaluate.detection.curves import pixels
 from gsrain_engine.evaluate.report.run_report import Figure, ReportTable, RunReport
 
 from ..road.route import Route
-from ..simulation.rollout import Rollout
+from ..rollouts.rollout import Rollout
 from .birds_eye import birds_eye_sheet
 from .comparison import Comparison, Run, compare
 from .figures import kinematics_figure
@@ -43,7 +43,7 @@ def drive_report(
         settings={**(settings or {}), **_facts(runs, rollouts)},
         figures=tuple(figure for each in comparisons for figure in _figures(each, (routes or {}).get(each.scene))),
         tables=(
-            ReportTable("Results", table.columns, table.rows, caption=" ".join(table.definitions)),
+            ReportTable("Results", table.columns, table.rows, definitions=table.definitions),
             _runs_table(runs),
         ),
         headlines=_headlines(runs),

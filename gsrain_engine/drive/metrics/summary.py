@@ -6,14 +6,14 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from ..simulation.rollout import Rollout
+from ..rollouts.rollout import Rollout
+from ..rollouts.run_setting import planned_frames, run_setting
 from .collision import first_collision
 from .comfort_executed import comfort_executed
 from .comfort_limits import NUPLAN
 from .comfort_planned import comfort_planned
 from .hd_score import DrivableArea, HdScore, hd_score
 from .planned_collisions import Touchable, planned_collisions
-from .run_setting import planned_frames, run_setting
 from .time_to_collision import gaps_m, times_to_collision_s
 
 Share = Annotated[float, Meta(ge=0, le=1)]

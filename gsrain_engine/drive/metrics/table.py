@@ -1,5 +1,6 @@
 """The table of results, as in the paper: one row a scenario, agent and intensity, with the definitions below it."""
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -41,9 +42,12 @@ class ResultsTable:
             for line in lines
         ]
         rule = "  ".join("-" * width for width in widths)
-        return "\n".join(line.rstrip() for line in (shown[0], rule, *shown[1:], "", *self.definitions)) + "\n"
+        told = [textwrap.fill(each, max(_NARROWEST, len(rule)), subsequent_indent="  ") for each in self.definitions]
+        return "\n".join(line.rstrip() for line in (shown[0], rule, *shown[1:], "", *told)) + "\n"
 
 
+_NARROWEST = 80
+"""Characters in a line of the definitions, where the table has not more."""
 _WORDS = ("Scenario", "Agent")
 _C, _S_PLANNED, _S_EXECUTED = "C", "S (planned)", "S (executed)"
 _FRAMES = "C (frames)"

@@ -7,11 +7,11 @@ import shapely
 from jaxtyping import Float64
 
 from ..road.planar_box import PlanarBox
-from ..simulation.rollout import Rollout, RolloutStep
+from ..rollouts.rollout import Rollout, RolloutStep
+from ..rollouts.run_setting import run_setting
 from ..vehicle.vehicle import Vehicle
 from .logged_traffic import user_boxes
 from .planned_poses import ego_box, ego_pose
-from .run_setting import run_setting
 
 LONGEST_S = 10.0
 """No time to collision is longer: the paper's "no collision risk"."""

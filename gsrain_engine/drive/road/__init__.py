@@ -1,0 +1,1 @@
+"""What a vehicle drives on, along and into."""

@@ -75,7 +75,10 @@ def recorded_route(scene: Scene) -> Route:
     Raises ValueError where the scene has none, or where it stood still.
     """
     if scene.ego is None:
-        raise ValueError(f"scene {scene.name!r} has no drive to follow: it has no ego vehicle")
+        raise ValueError(
+            f"scene {scene.name!r} has no drive to follow: it has no ego vehicle; let one drive along a camera path "
+            "(gsrain convert --drive, in the window Ego drives along the path)"
+        )
     kept: list[np.ndarray] = []
     for place in recorded_places(scene)[:, :2]:
         if not kept or np.linalg.norm(place - kept[-1]) >= _STEP_M:

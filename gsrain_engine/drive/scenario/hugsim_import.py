@@ -6,6 +6,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from gsrain_engine.explained_errors import converted
+
 from ..angles import wrapped_deg
 from ..vehicle.vehicle import HUGSIM_VEHICLE
 from .scenario import Scenario, ScenarioUser
@@ -49,8 +51,8 @@ def is_hugsim_scenario(values: object) -> bool:
     return isinstance(values, dict) and {"plan_list", "scene_name"} <= {str(key) for key in values}
 
 
-def read_hugsim_scenario(path: Path) -> Scenario:
-    """Read a scenario of HUGSIM's.
+def hugsim_scenario(values: object, path: Path) -> Scenario:
+    """Return the scenario that HUGSIM's plain values describe; `path` is where they stand.
 
     Its ego vehicle is a box around the front camera, and so is the one here (`HUGSIM_VEHICLE`): distances stay what
     they are. `scene_name` becomes the scene, to be replaced by the file that the scene was converted to. 3DRealCar
@@ -62,8 +64,8 @@ def read_hugsim_scenario(path: Path) -> Scenario:
     what else there is not.
     """
     try:
-        found = msgspec.yaml.decode(path.read_bytes(), type=_HugsimScenario)
-    except msgspec.MsgspecError as error:
+        found = converted(values, _HugsimScenario)
+    except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
     pitch, right, roll = found.start_euler
     if abs(pitch) > 1 or abs(roll) > 1:

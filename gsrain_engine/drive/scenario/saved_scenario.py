@@ -8,12 +8,17 @@ import yaml
 
 from gsrain_engine.scene.atomic_files import whole_file
 
+from .named_files import named_from_folder
 from .scenario import Scenario
 
 
 def save_scenario(scenario: Scenario, path: Path) -> None:
-    """Write a scenario, whole or not at all; `load_scenario` gives back the same value. Raises OSError."""
-    text = yaml.safe_dump(_told(scenario), sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
+    """Write a scenario, whole or not at all; `load_scenario` gives back the same value.
+
+    Files that it names count from the written file's folder. Raises OSError.
+    """
+    told = _told(named_from_folder(scenario, path.parent))
+    text = yaml.safe_dump(told, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
     with whole_file(path) as beside:
         beside.write_text(text, encoding="utf-8")
 

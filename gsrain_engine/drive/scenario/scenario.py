@@ -1,20 +1,18 @@
 """A scenario: where the drive begins, who else is on the road, what the weather is, and when it ends."""
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
 from gsrain_engine.rain.rain import Rain
-from gsrain_engine.shipped_configs import load_config, shipped_names
 
-from ..simulation.rollout import BACKGROUND
+from ..rollouts.rollout import BACKGROUND
 from ..traffic.behaviours import BehaviourSettings
 from ..traffic.ego_user import EGO
+from ..vehicle.controller_settings import ControllerSettings
 from ..vehicle.vehicle import Vehicle
 
-_FOLDER = "scenarios"
 _Side = Annotated[float, Meta(gt=0, le=100)]
 _TAKEN = (EGO, BACKGROUND)
 """Ids by which roll-outs mean something else."""
@@ -59,39 +57,6 @@ class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     ] = 0.0  # fmt: skip
     speed_m_s: Annotated[float, Meta(ge=0, le=60, title="Speed", extra={"unit": "m/s"})] = 0.0
     behaviour: BehaviourSettings
-
-
-class ControllerSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What turns plans into controls."""
-
-    kind: Annotated[
-        Literal["ilqr", "pure-pursuit"],
-        Meta(title="Controller", description="nuPlan's tracker, as HUGSIM uses it, or the plain geometric one."),
-    ] = "ilqr"
-    heading_reference: Annotated[
-        Literal["tangent", "hugsim"],
-        Meta(
-            title="Heading reference",
-            description="Heading that the tracker wants: the plan's own, or HUGSIM's published arctan2 of swapped "
-            "arguments, with all else as published too, to reproduce its numbers.",
-        ),
-    ] = "tangent"
-    iterations: Annotated[int, Meta(ge=1, le=1000, title="Iterations")] = 100
-    most_acceleration_m_s2: Annotated[
-        float,
-        Meta(gt=0, le=20, title="Most acceleration", description="That the tracker asks for; nuPlan's.",
-             extra={"unit": "m/s2"}),
-    ] = 3.0  # fmt: skip
-    most_braking_m_s2: Annotated[
-        float,
-        Meta(
-            gt=0,
-            le=20,
-            title="Most braking",
-            description="That the tracker asks for, whatever the vehicle could do; nuPlan's and HUGSIM's is 3.",
-            extra={"unit": "m/s2"},
-        ),
-    ] = 3.0
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -146,20 +111,3 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         taken = next((each for each in ids if each in _TAKEN), None)
         if taken is not None:
             raise ValueError(f"a road user can't be called {taken!r}: roll-outs mean something else by it")
-
-
-def scenario_names() -> list[str]:
-    """Names of the shipped scenarios."""
-    return shipped_names(_FOLDER)
-
-
-def load_scenario(name: str | Path) -> Scenario:
-    """Load a shipped scenario by name, or a scenario file by path: ours, HUGSIM's, or OpenSCENARIO XML.
-
-    Raises ValueError with the file, the field and what is allowed.
-    """
-    if str(name) not in scenario_names() and Path(name).is_file():
-        from .scenario_files import read_scenario  # its readers make scenarios
-
-        return read_scenario(Path(name))
-    return load_config(_FOLDER, name, Scenario, "scenario")

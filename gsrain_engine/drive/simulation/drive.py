@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from ..agents.agent import Agent
 from ..agents.observation import Observation
-from .rollout import Rollout
+from ..rollouts.rollout import Rollout
 from .simulation import Simulation
 
 

@@ -1,5 +1,6 @@
 """The loop of a drive: observe, plan, steer, move everybody, look what was hit. Deterministic, step by step."""
 
+import logging
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsrain_engine.render.renderer import Renderer
+from gsrain_engine.scene.open_scene import STREET
 from gsrain_engine.scene.scene import Scene
 
 from ..agents.agent import FARTHEST_M, NOTHING, SPACING_S, Needs, Plan
@@ -15,17 +17,19 @@ from ..agents.observation import CameraView, Observation, Rig
 from ..road.ground import ground_of
 from ..road.occupied_space import OccupiedSpace, occupied_space_of
 from ..road.route import OnRoute, Route, recorded_route
+from ..rollouts.rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
 from ..scenario.scenario import Scenario
 from ..scenario.start import start_state
+from ..scenario.traffic import Traffic
 from ..traffic.ego_user import ego_user
 from ..vehicle.bicycle import limited, moved_on, yaw_rate
 from ..vehicle.controllers import open_controller
 from ..vehicle.state import Control, VehicleState
 from .rig_pictures import RigPictures, needed_cameras, of_width, rig_cameras
 from .road_scene import RoadScene
-from .rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
 from .touch import touched
-from .traffic import Traffic
+
+logger = logging.getLogger("gsrain")
 
 _STANDING = Control(0.0, 0.0)
 _SEEDS = 2**32
@@ -44,9 +48,13 @@ class Simulation:
     ) -> None:
         """Make ready. `renderer` is needed where an agent needs cameras; it stays open for as long as this is used.
 
-        `seed` is that of the rain; none takes the scenario's. Raises ValueError where the scene lacks what the scenario
-        needs: a drive, a rig, a model.
+        `seed` is that of the rain; none takes the scenario's. A scenario of the built-in street in another scene is
+        told of in the log: it stays what it is in the roll-out. Raises ValueError where the scene lacks what the
+        scenario needs: a drive, a rig, a model.
         """
+        if scenario.scene == STREET != scene.name:
+            logger.warning("scenario %s is made for the built-in street, and is driven in scene %r", scenario.name,
+                           scene.name)  # fmt: skip
         if needs.cameras and renderer is None:
             raise ValueError("the agent needs pictures, and there is nothing that draws them")
         self.scenario = scenario if seed is None else _with_seed(scenario, seed)

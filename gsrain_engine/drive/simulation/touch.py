@@ -7,11 +7,11 @@ import numpy as np
 from ..road.ground import Ground
 from ..road.occupied_space import OccupiedSpace
 from ..road.planar_box import PlanarBox
+from ..rollouts.rollout import BACKGROUND
 from ..traffic.road_user import RoadUser
 from ..vehicle.body import vehicle_box
 from ..vehicle.state import VehicleState
 from ..vehicle.vehicle import Vehicle
-from .rollout import BACKGROUND
 
 
 def touched(

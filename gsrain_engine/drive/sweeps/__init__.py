@@ -1,0 +1,1 @@
+"""Many drives or renders as jobs that are done once each, and their tables."""

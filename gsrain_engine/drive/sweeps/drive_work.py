@@ -7,8 +7,8 @@ import msgspec
 from ..agents.registry import AgentOptions, open_agent
 from ..metrics.summary import measured
 from ..road.drivable import drivable_of
+from ..rollouts.rollout import Rollout
 from ..simulation.drive import drive_through
-from ..simulation.rollout import Rollout
 from ..simulation.simulation import Simulation
 from .job import DriveJob
 from .outcome import Outcome

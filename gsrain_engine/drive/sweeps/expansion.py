@@ -1,16 +1,18 @@
 """From a sweep to its jobs, in the order in which they are best run: all of a scene before those of the next."""
 
-from importlib.metadata import entry_points
 from pathlib import Path
 
 from msgspec import structs
 
 from gsrain_engine.evaluate.detection.detector_place import find_detector
+from gsrain_engine.extensions import AGENTS, extension
 from gsrain_engine.rain.calibration import calibration_names
 from gsrain_engine.scene.content_hash import file_hash, scene_hash
 
-from ..agents.registry import GROUP, agent_names
-from ..scenario.scenario import Scenario, load_scenario
+from ..agents.agent_file import agent_file
+from ..agents.registry import agent_names
+from ..scenario.scenario import Scenario
+from ..scenario.scenario_files import load_scenario
 from .jitter import jittered
 from .job import DriveJob, Job, RenderJob
 from .program import program_version
@@ -49,11 +51,12 @@ def _drive(
     rain = structs.replace(scenario.rain, intensity_mm_h=intensity, seed=seed)
     scenario = structs.replace(jittered(scenario, sweep.jitter, seed), rain=rain)
     models = [user.model for user in scenario.road_users]
+    own = agent_file(agent.name)
     return DriveJob(
         program=program_version(),
         scene=scenario.scene,
         scene_hash=hashes.scene(scenario.scene),
-        files=hashes.files([rain.calibration, *models, agent.detector, agent.description]),
+        files=hashes.files([rain.calibration, *models, agent.detector, agent.description, own and str(own)]),
         seed=seed,
         backend=sweep.backend,
         scenario=scenario,
@@ -74,8 +77,8 @@ def _complete(agent: AgentChoice) -> AgentChoice:
 
 def _version(agent: str) -> str:
     """Return name and version of the package that an agent comes from; nothing for those of this program."""
-    packages = [each.dist for each in entry_points(group=GROUP) if each.name == agent]
-    return next((f"{each.name} {each.version}" for each in packages if each is not None), "")
+    installed = extension(AGENTS, agent)
+    return "" if installed is None else f"{installed.package} {installed.version}".strip()
 
 
 def _renders(sweep: RenderSweep) -> list[Job]:
@@ -129,7 +132,10 @@ class _Hashes:
 def _check(agents: list[AgentChoice]) -> None:
     titles = [agent.title for agent in agents]
     for agent in agents:
-        if agent.name not in agent_names():
+        own = agent_file(agent.name)
+        if own is not None and not own.is_file():
+            raise ValueError(f"agent {agent.name}: no such file")
+        if own is None and agent.name not in agent_names():
             raise ValueError(f"agent {agent.name}: there is none of that name, only {', '.join(agent_names())}")
         if agent.detector is not None and not Path(agent.detector).is_file():
             raise ValueError(f"agent {agent.title}: there is no detector {agent.detector}")

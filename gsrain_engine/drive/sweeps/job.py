@@ -6,8 +6,8 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
+from gsrain_engine.backends import Backend
 from gsrain_engine.rain.rain import Rain
-from gsrain_engine.render.backends import Backend
 from gsrain_engine.render.objects.label_files import LabelFormat
 from gsrain_engine.render.recording import Recording
 

@@ -2,7 +2,7 @@
 
 from msgspec import Struct
 
-from ..simulation.rollout import Rollout
+from ..rollouts.rollout import Rollout
 
 Value = str | float | int | bool | None
 

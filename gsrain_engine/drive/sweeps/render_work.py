@@ -1,8 +1,6 @@
 """Does a clip of a sweep: pictures, labels, and the row that says what they show."""
 
 import hashlib
-import shutil
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,9 +21,6 @@ from .job import RenderJob
 from .outcome import Outcome, Value
 from .workbench import Workbench
 
-_ABANDONED_S = 86400.0
-"""No clip takes so long: a part of one that is older has no writer any more."""
-
 
 def do_render(job: RenderJob, bench: Workbench, clips: Path) -> Outcome:
     """Record into a folder of the job's id, which appears whole; one that stands is an equal one and stays.
@@ -37,7 +32,6 @@ def do_render(job: RenderJob, bench: Workbench, clips: Path) -> Outcome:
     values = _values(job, scene)
     clips.mkdir(parents=True, exist_ok=True)
     if not place.is_dir():
-        _remove_abandoned(clips, job.id)
         try:
             with whole_folder(place) as beside:
                 _record(job, scene, bench, beside)
@@ -45,13 +39,6 @@ def do_render(job: RenderJob, bench: Workbench, clips: Path) -> Outcome:
             if not place.is_dir():  # else another sweep has put the same clip there meanwhile
                 raise
     return Outcome(id=job.id, values={**values, "clip": f"{clips.name}/{job.id}", "clip_hash": _hash(place)})
-
-
-def _remove_abandoned(clips: Path, id: str) -> None:
-    """Remove what workers that were killed over this clip have left of it."""
-    for part in clips.glob(f".{id}.*.part"):
-        if time.time() - part.stat().st_mtime > _ABANDONED_S:
-            shutil.rmtree(part, ignore_errors=True)
 
 
 def _record(job: RenderJob, scene: Scene, bench: Workbench, folder: Path) -> None:

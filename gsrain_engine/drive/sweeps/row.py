@@ -8,11 +8,16 @@ from typing import Any
 import msgspec
 from msgspec import inspect
 
+from gsrain_engine.printable import printable
+
 from ..metrics.summary import DriveMetrics
 from .job import DriveJob, Job
 from .outcome import Outcome, Value
 
 Row = dict[str, Value]
+
+_MOST_ROWS = 10_000_000
+"""Of a file; a job's has one."""
 
 FINISHED, FAILED = "finished", "failed"
 
@@ -62,9 +67,12 @@ def rows_in(data: bytes) -> list[Row]:
     """Read a Parquet file of rows. Raises ValueError for what is none."""
     arrow, files = _pyarrow()
     try:
-        return files.read_table(io.BytesIO(data)).to_pylist()
-    except arrow.ArrowInvalid as error:
-        raise ValueError(f"no Parquet file: {error}") from None
+        with files.ParquetFile(io.BytesIO(data)) as file:
+            if file.metadata.num_rows > _MOST_ROWS:
+                raise ValueError(f"{file.metadata.num_rows} rows")
+            return file.read().to_pylist()
+    except (arrow.ArrowException, OSError, OverflowError, ValueError) as error:  # damage comes as any of them
+        raise ValueError(f"no Parquet file: {printable(error)}") from None
 
 
 def comma_separated(rows: Sequence[Row], kind: str) -> str:

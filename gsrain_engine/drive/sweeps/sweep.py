@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 from msgspec import Meta, Struct
 
+from gsrain_engine.backends import Backend
+from gsrain_engine.explained_errors import converted
 from gsrain_engine.rain.rain import Rain
-from gsrain_engine.render.backends import Backend
 from gsrain_engine.render.objects.label_files import LabelFormat
 from gsrain_engine.render.recording import Recording
 from gsrain_engine.shipped_configs import load_config, shipped_names
@@ -37,7 +37,9 @@ class AgentChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     @property
     def title(self) -> str:
         """What tables call it."""
-        return self.label or " ".join([self.name, *([] if self.detector is None else [Path(self.detector).stem])])
+        return self.label or " ".join(
+            [Path(self.name).name, *([] if self.detector is None else [Path(self.detector).stem])]
+        )
 
 
 class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="drive"):
@@ -108,8 +110,8 @@ def load_sweep(name: str | Path) -> Sweep:
 
     Raises ValueError with the file, the field and what is allowed.
     """
-    sweep = load_config(_FOLDER, name, object, "sweep")
+    values = load_config(_FOLDER, name, object, "sweep")
     try:
-        return msgspec.convert(sweep, Sweep)  # pyright: ignore[reportArgumentType]: a union is a type to msgspec
-    except msgspec.ValidationError as error:
+        return converted(values, Sweep)
+    except ValueError as error:
         raise ValueError(f"sweep {name}: {error}") from None

@@ -1,5 +1,7 @@
 """The folder of a sweep: a row and a roll-out a job, each whole or not there; any number of sweeps may write to it."""
 
+import errno
+import os
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -8,7 +10,7 @@ import msgspec
 
 from gsrain_engine.scene.atomic_files import whole_file
 
-from ..simulation.rollout_files import write_rollout
+from ..rollouts.json_lines import write_rollout
 from .job import Job
 from .outcome import Outcome
 from .row import FINISHED, Row, encoded, parquet, row_of, rows_in
@@ -88,5 +90,9 @@ class SweepFolder:
             "worker": outcome.worker,
             "error": outcome.error,
         }
-        with self.log.open("ab", buffering=0) as file:  # one write a line: those of several sweeps don't mix
-            file.write(msgspec.json.encode(line) + b"\n")
+        with self.log.open("ab+", buffering=0) as file:  # one write a line: those of several sweeps don't mix
+            told = msgspec.json.encode(line) + b"\n"
+            if file.seek(0, os.SEEK_END) and (file.seek(-1, os.SEEK_END), file.read(1))[1] != b"\n":
+                told = b"\n" + told  # behind a line that a full disk has torn
+            if file.write(told) != len(told):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.log))

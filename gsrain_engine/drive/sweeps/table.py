@@ -7,7 +7,8 @@ from typing import Any
 import msgspec
 from PIL import Image
 
-from gsrain_engine.evaluate.report.run_report import Figure, write_report
+from gsrain_engine.evaluate.report.report_file import write_report
+from gsrain_engine.evaluate.report.run_report import Figure
 from gsrain_engine.scene.atomic_files import whole_file
 
 from .figures import scenario_figure

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
-from gsrain_engine.render.backends import Backend, open_renderer
+from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.scene.content_hash import file_hash, scene_hash
 from gsrain_engine.scene.open_scene import open_to_draw

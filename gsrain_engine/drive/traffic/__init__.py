@@ -1,0 +1,1 @@
+"""Other road users: their looks, and the rules by which they move."""

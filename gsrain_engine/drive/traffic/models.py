@@ -10,7 +10,8 @@ from .model_files import model_of_file
 
 __all__ = ["UserLook", "scaled", "user_look"]
 
-_ACTOR = "actor:"
+ACTOR = "actor:"
+"""How the name of a model begins that is one of the scene's actors; its id follows."""
 
 
 def user_look(model: str, scene: Scene) -> UserLook:
@@ -21,11 +22,11 @@ def user_look(model: str, scene: Scene) -> UserLook:
     built_in = built_in_vehicle(model)
     if built_in is not None:
         return built_in
-    if model.startswith(_ACTOR):
-        return _actor_look(model.removeprefix(_ACTOR), scene)
+    if model.startswith(ACTOR):
+        return _actor_look(model.removeprefix(ACTOR), scene)
     path = Path(model)
     if not path.is_file():
-        known = ", ".join([*vehicle_names(), *(f"{_ACTOR}{each.id}" for each in scene.actors)])
+        known = ", ".join([*vehicle_names(), *(f"{ACTOR}{each.id}" for each in scene.actors)])
         paints = ", ".join(PAINTS)
         raise ValueError(f"model {model}: no such file, and none of {known} (a paint may follow: /{paints})")
     return model_of_file(path)
@@ -37,4 +38,4 @@ def _actor_look(id: str, scene: Scene) -> UserLook:
             unit = scene.metres_per_unit
             length, width, height = (unit * side for side in actor.size_lwh)
             return UserLook(scaled(actor.gaussians, unit), (length, width, height))
-    raise ValueError(f"model {_ACTOR}{id}: scene {scene.name!r} has no such actor")
+    raise ValueError(f"model {ACTOR}{id}: scene {scene.name!r} has no such actor")

@@ -9,12 +9,13 @@ from jaxtyping import Float64
 from msgspec import Meta
 
 from ..angles import wrapped
-from ..simulation.driven_vehicle import driven_vehicle
-from ..simulation.rollout import Rollout
-from ..simulation.rollout_formats import read_any_rollout
+from ..rollouts.driven_vehicle import driven_vehicle
+from ..rollouts.files import read_any_rollout
+from ..rollouts.rollout import Rollout
 from ..vehicle.body import vehicle_box
 from ..vehicle.state import VehicleState
-from .behaviour import Behaviour, Surroundings
+from .behaviour import Behaviour
+from .by_the_clock import ByTheClock
 from .ego_user import EGO
 from .road_user import RoadUser
 
@@ -58,35 +59,28 @@ def _moments(rollout: Rollout, user: str) -> Float64[np.ndarray, "n 5"]:
     return moments if np.isfinite(moments).all(axis=1).any() else moments[:0]
 
 
-class _Again:
+class _Again(ByTheClock):
     def __init__(self, moments: Float64[np.ndarray, "n 5"]) -> None:
         self._moments = moments
-        self._me: RoadUser | None = None
 
-    def start(self, placed: RoadUser) -> RoadUser | None:
-        self._me = placed
-        return self._at(0.0)
-
-    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
-        return self._at(around.time_s + dt_s)
-
-    def _at(self, time_s: float) -> RoadUser | None:
+    def _at(self, me: RoadUser, time_s: float) -> RoadUser | None:
         """Where it was at a time; after the roll-out's end it stands where it ended."""
         times = self._moments[:, 0]
         later = int(np.searchsorted(times, time_s - 1e-9))
         if later >= len(times):
-            return self._user(self._moments[-1] * [1, 1, 1, 1, 0])
+            return _moved(me, self._moments[-1] * [1, 1, 1, 1, 0])
         earlier = max(later - 1, 0)
         span = times[later] - times[earlier]
         share = (time_s - times[earlier]) / span if span > 0 else 1.0
         first, last = self._moments[earlier], self._moments[later].copy()
         if share > 1 - 1e-9:
-            return self._user(last)
+            return _moved(me, last)
         last[3] = first[3] + wrapped(float(last[3] - first[3]))
-        return self._user((1 - share) * first + share * last)
+        return _moved(me, (1 - share) * first + share * last)
 
-    def _user(self, moment: Float64[np.ndarray, "5"]) -> RoadUser | None:
-        if self._me is None or not np.isfinite(moment).all():
-            return None
-        _, x, y, yaw, speed = (float(value) for value in moment)
-        return self._me.moved(x_m=x, y_m=y, yaw_rad=yaw, speed_m_s=speed)
+
+def _moved(me: RoadUser, moment: Float64[np.ndarray, "5"]) -> RoadUser | None:
+    if not np.isfinite(moment).all():
+        return None
+    _, x, y, yaw, speed = (float(value) for value in moment)
+    return me.moved(x_m=x, y_m=y, yaw_rad=yaw, speed_m_s=speed)

@@ -9,6 +9,7 @@ from msgspec import Meta
 from scipy.interpolate import PchipInterpolator
 
 from .behaviour import Behaviour, Surroundings
+from .by_the_clock import ByTheClock
 from .in_lane import InLane
 from .recorded_track import RecordedTrack
 from .road_user import RoadUser
@@ -59,24 +60,16 @@ class OnTrack(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         raise ValueError(f"track of actor {self.actor!r}: scene {scene.name!r} has only {known}")
 
 
-class _LikeActor:
+class _LikeActor(ByTheClock):
     def __init__(self, track: RecordedTrack, pace: float) -> None:
         self._track, self._pace = track, pace
-        self._me: RoadUser | None = None
 
-    def start(self, placed: RoadUser) -> RoadUser | None:
-        self._me = placed
-        return self._at(0.0)
-
-    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
-        return self._at(around.time_s + dt_s)
-
-    def _at(self, time_s: float) -> RoadUser | None:
+    def _at(self, me: RoadUser, time_s: float) -> RoadUser | None:
         there = self._track.at(time_s * self._pace)
-        if there is None or self._me is None:
+        if there is None:
             return None
         speed = there.speed_m_s * self._pace
-        return self._me.moved(x_m=there.x_m, y_m=there.y_m, yaw_rad=there.yaw_rad, speed_m_s=speed)
+        return me.moved(x_m=there.x_m, y_m=there.y_m, yaw_rad=there.yaw_rad, speed_m_s=speed)
 
 
 class _ThroughPoints:

@@ -1,19 +1,15 @@
 """The iLQR tracker: finds the inputs that keep a bicycle nearest to a plan, by repeated linear-quadratic regulation."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from jaxtyping import Float64
 
+from .controller_settings import ControllerSettings
 from .reachable_plan import reachable
 from .state import Control, VehicleState
 from .tracked_plan import tracked_states
 from .tracker_kernels import INPUTS, STATES, improved, policy, rolled_out
 from .vehicle import Vehicle
 from .warm_start import first_inputs
-
-if TYPE_CHECKING:
-    from ..scenario.scenario import ControllerSettings
 
 _WEIGHTS = np.array([1, 1, 10, 0, 0, 1, 10, *[1] * STATES, *[1] * INPUTS], np.float64)
 """Of errors of x, y, heading, speed, steering; of acceleration and steering rate; of the trust region."""
@@ -35,7 +31,7 @@ class ILQRTracker:
     points that it has passed by steering away as far as it can.
     """
 
-    def __init__(self, settings: "ControllerSettings") -> None:
+    def __init__(self, settings: ControllerSettings) -> None:
         """Take limits, iterations and the heading that is wanted from a scenario's settings."""
         self._settings = settings
 

@@ -41,6 +41,11 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         """From the rear axle forward to the middle of the body."""
         return self.length_m / 2 - self.rear_overhang_m
 
+    @property
+    def front_m(self) -> float:
+        """From the rear axle forward to the front bumper."""
+        return self.length_m - self.rear_overhang_m
+
 
 HUGSIM_VEHICLE = Vehicle(length_m=3.0, width_m=1.6, height_m=1.5, wheelbase_m=2.7, rear_overhang_m=1.5)
 """HUGSIM's ego: its box (w 1.6, h 1.5, l 3.0) stands around the point that it steers, a front camera."""

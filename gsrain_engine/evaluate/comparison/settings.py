@@ -7,9 +7,11 @@ import msgspec
 from msgspec import Meta, Struct
 
 from gsrain_engine.appearance.finetuning.pictures.settings import PictureSettings
-from gsrain_engine.appearance.methods import METHODS
+from gsrain_engine.appearance.methods import method_names
 from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.appearance.views.choice import ViewChoice
+from gsrain_engine.explained_errors import converted
+from gsrain_engine.printable import printable
 from gsrain_engine.shipped_configs import load_values
 
 CLEAR = "clear"
@@ -100,12 +102,12 @@ def load_comparison(name: str | Path) -> Comparison:
     """
     values = load_values(SHIPPED, name, "comparison")
     try:
-        comparison = msgspec.convert(values, Comparison, dec_hook=_path)
-    except msgspec.ValidationError as error:
+        comparison = converted(values, Comparison, dec_hook=_path)
+    except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
     problem = _problem(comparison)
     if problem is not None:
-        raise ValueError(f"{name}: {problem}")
+        raise ValueError(f"{name}: {printable(problem)}")
     return comparison
 
 
@@ -123,7 +125,7 @@ def _problem(comparison: Comparison) -> str | None:
         return "pictures have rainy ones of their own, real goes with source - at `$.real`"
     if comparison.source is not None and not comparison.real:
         return "expected folders of real rainy pictures - at `$.real`"
-    known = [CLEAR, *(each.name for each in METHODS)]
+    known = [CLEAR, *method_names()]
     taken: set[str] = set()
     for i, each in enumerate(comparison.methods):
         if each.method not in known:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Int64
 
+from gsrain_engine.extensions import DECODERS, Extension, extension
+
 from .description import DetectorDescription
 
 _TOLERANCE = 1e-3
@@ -34,10 +36,29 @@ class Layout:
     height: int
 
 
+@dataclass(frozen=True, slots=True)
+class Decoder:
+    """How the numbers of one kind of detector are read."""
+
+    decode: Callable[[Sequence[Output], Layout], Candidates]
+    """Takes what the network gave for one picture; raises ValueError where it can't be of this layout."""
+    is_final: bool = False
+    """Whether the network itself leaves one box an object: then nothing is suppressed."""
+
+
+def decoder(name: str) -> Decoder:
+    """Find a decoder, ours or an installed package's. Raises ValueError where there is none or it can't be used."""
+    if name in _DECODERS:
+        return _DECODERS[name]
+    if (installed := extension(DECODERS, name)) is not None:
+        return _installed(installed)
+    raise ValueError(f"no decoder {name!r}")
+
+
 def decoded(outputs: Sequence[Output], layout: Layout) -> Candidates:
     """Decode what a detector gave for one picture. Raises ValueError where it can't be of this layout."""
     with np.errstate(over="ignore", invalid="ignore"):
-        found = _DECODERS[layout.description.decode](outputs, layout)
+        found = decoder(layout.description.decode).decode(outputs, layout)
     if not np.isfinite(found.boxes).all():
         raise ValueError(f"boxes decoded as {layout.description.decode} are not finite")
     return found
@@ -188,10 +209,33 @@ def _corners(centers: Float32[np.ndarray, "a 2"], sizes: Float32[np.ndarray, "a 
     return np.concatenate([centers - sizes / 2, centers + sizes / 2], axis=1)
 
 
-_DECODERS: dict[str, Callable[[Sequence[Output], Layout], Candidates]] = {
-    "end_to_end": _end_to_end,
-    "yolo": _yolo,
-    "yolo_objectness": _yolo_objectness,
-    "yolox": _yolox,
-    "nanodet": _nanodet,
+def _installed(extension: Extension) -> Decoder:
+    """Return the decoder of another package, which fails in one sentence."""
+    row = extension.load(Decoder)
+
+    def decode(outputs: Sequence[Output], layout: Layout) -> Candidates:
+        try:
+            found = extension.expect(row.decode(outputs, layout), Candidates, "gives")
+        except ValueError:
+            raise
+        except Exception as error:  # whatever others raise
+            raise extension.unfit(error) from error
+        n = len(found.boxes)
+        if found.boxes.shape != (n, 4) or found.confidences.shape != (n,) or found.classes.shape != (n,):
+            raise extension.unfit(f"gives {n} boxes with confidences or classes that are not one each")
+        if n and not 0 <= found.classes.min() <= found.classes.max() < layout.classes:
+            raise extension.unfit(f"names a class that is not within 0..{layout.classes - 1}")
+        _check_confidences(found.confidences, layout)
+        boxes, confidences = found.boxes.astype(np.float32), found.confidences.astype(np.float32)
+        return Candidates(boxes, confidences, found.classes.astype(np.int64))
+
+    return Decoder(decode, row.is_final)
+
+
+_DECODERS: dict[str, Decoder] = {
+    "end_to_end": Decoder(_end_to_end, is_final=True),
+    "yolo": Decoder(_yolo),
+    "yolo_objectness": Decoder(_yolo_objectness),
+    "yolox": Decoder(_yolox),
+    "nanodet": Decoder(_nanodet),
 }

@@ -1,11 +1,12 @@
 """What has to be known of a detector besides its ONNX file: one value, which is also a YAML file."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import msgspec
 from msgspec import Meta
 
+from gsrain_engine.extensions import DECODERS, extensions
 from gsrain_engine.scene.coco_classes import COCO_CLASSES
 from gsrain_engine.shipped_configs import load_config, shipped_names
 
@@ -25,13 +26,13 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
     """How a picture goes into a detector, and what its numbers mean."""
 
     decode: Annotated[
-        Decode,
+        str,
         Meta(
             title="Decoding",
             description="end_to_end: rows x1 y1 x2 y2 confidence class (YOLOv10, YOLO26). yolo: centre, size and a "
             "score a class (YOLOv8, YOLO11). yolo_objectness: those with an objectness before the classes (YOLOv5, "
             "YOLOv6, YOLOX exported with --decode_in_inference). yolox: the same relative to grid cells. nanodet: "
-            "class scores and distributions of distances to the four sides.",
+            "class scores and distributions of distances to the four sides. Or a decoder of an installed package.",
         ),
     ]
     classes: Annotated[
@@ -90,6 +91,16 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
         ),
     ] = 0.65
     most_detections: Annotated[int, Meta(ge=1, le=10_000, title="Most detections a picture")] = 300
+
+    def __post_init__(self) -> None:
+        if self.decode not in decode_names():
+            raise ValueError(f"{self.decode!r} is none of {', '.join(decode_names())} - at `$.decode`")
+
+
+def decode_names() -> tuple[str, ...]:
+    """What `decode` may be: ours, then the decoders of installed packages."""
+    ours: tuple[str, ...] = get_args(Decode)
+    return (*ours, *(each.name for each in extensions(DECODERS) if each.name not in ours))
 
 
 def description_names() -> list[str]:

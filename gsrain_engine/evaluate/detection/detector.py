@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from .decoders import Candidates, Layout, decoded
+from .decoders import Candidates, Layout, decoded, decoder
 from .description import DetectorDescription, load_description, named_classes
 from .letterbox import network_input, placed
 from .onnx_model import OnnxModel, open_onnx
@@ -59,7 +59,7 @@ class Detector:
 
     def _chosen(self, found: Candidates) -> np.ndarray:
         """Rows to report, the most confident first."""
-        if self.description.decode == "end_to_end":
+        if decoder(self.description.decode).is_final:
             rows = np.argsort(-found.confidences, kind="stable")
         else:
             rows = kept_boxes(found.boxes, found.confidences, found.classes, self.description.suppression_iou)

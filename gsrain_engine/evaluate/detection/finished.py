@@ -72,7 +72,7 @@ class Finished:
         for line in lines:
             try:
                 read = msgspec.json.decode(line, type=_Line)
-            except msgspec.DecodeError:  # torn when a run was killed
+            except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):  # torn when a run was killed
                 continue
             if read.key in keys and line.endswith(b"\n"):
                 kept.append(line)

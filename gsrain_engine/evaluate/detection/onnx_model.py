@@ -9,8 +9,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
+from gsrain_engine.printable import printable
+
 THREADS = 2
 """Fixed, so that sums are taken in the same order on every run; what is more goes to pictures side by side."""
+
+MOST_SIDE_PX = 8192
+"""Of the picture that a network takes."""
 
 _POINTER = b"version https://git-lfs"
 """How a file begins that Git has not fetched."""
@@ -72,24 +77,32 @@ def open_onnx(path: Path) -> OnnxModel:
     if path.suffix in (".pt", ".pth"):
         raise ValueError(f"{path}: weights of PyTorch; export them first (yolo export model={path.name} format=onnx)")
     try:
-        session = onnxruntime.InferenceSession(str(path), _options(onnxruntime), providers=["CPUExecutionProvider"])
-        inputs, outputs, metadata = session.get_inputs(), session.get_outputs(), session.get_modelmeta()
+        session = onnxruntime.InferenceSession(
+            str(path), _options(onnxruntime), providers=["CPUExecutionProvider"], enable_fallback=0
+        )  # with a fallback it prints what goes wrong, and tries the same again
+        # Words are only read when they are asked for: all of them here, where those that are no words are damage.
+        inputs = [(str(each.name), str(each.type), each.shape) for each in session.get_inputs()]
+        outputs = [_shape(each.shape) for each in session.get_outputs()]
+        metadata = dict(session.get_modelmeta().custom_metadata_map)
     except Exception as error:  # onnxruntime's errors share no base but this
         raise ValueError(f"{path}: not an ONNX file that onnxruntime opens: {_cause(path, error)}") from None
     kinds = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
-    shape = _shape(inputs[0].shape) if inputs else ()
-    if len(inputs) != 1 or inputs[0].type not in kinds or len(shape) != 4 or shape[0] not in (1, None) or shape[1] != 3:
-        given = ", ".join(f"{each.name} {each.type} {each.shape}" for each in inputs) or "nothing"
+    name, kind, axes = inputs[0] if len(inputs) == 1 else ("", "", ())
+    shape = _shape(axes)
+    if kind not in kinds or len(shape) != 4 or shape[0] not in (1, None) or shape[1] != 3:
+        given = printable(", ".join(" ".join(map(str, each)) for each in inputs)) or "nothing"
         raise ValueError(f"{path}: takes {given}; a detector takes one picture of floats (1, 3, height, width)")
+    if max(shape[2] or 0, shape[3] or 0) > MOST_SIDE_PX:
+        raise ValueError(f"{path}: takes a picture of {shape[3]} x {shape[2]} px; at most {MOST_SIDE_PX} px a side")
     return OnnxModel(
         path=path,
-        input_name=inputs[0].name,
+        input_name=name,
         width=shape[3],
         height=shape[2],
-        output_shapes=tuple(_shape(each.shape) for each in outputs),
-        metadata=dict(metadata.custom_metadata_map),
+        output_shapes=tuple(outputs),
+        metadata=metadata,
         _session=session,
-        _kind=kinds[inputs[0].type],
+        _kind=kinds[kind],
     )
 
 
@@ -115,4 +128,4 @@ def _cause(path: Path, error: Exception) -> str:
 
 
 def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:300]
+    return printable((str(error).strip().splitlines() or [type(error).__name__])[0][:300])

@@ -156,7 +156,9 @@ def _plain_table(table: ReportTable) -> str:
     body = "".join(f"<tr>{''.join(_value(each, table.decimals) for each in row)}</tr>" for row in table.rows)
     caption = f'<p class="quiet">{escape(table.caption)}</p>\n' if table.caption else ""
     table_html = f'<table class="sortable"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>\n'
-    return f"<h2>{escape(table.title)}</h2>\n{caption}{table_html}"
+    items = "".join(f"<li>{escape(each)}</li>" for each in table.definitions)
+    definitions = f'<ul class="quiet">{items}</ul>\n' if items else ""
+    return f"<h2>{escape(table.title)}</h2>\n{caption}{table_html}{definitions}"
 
 
 def _value(value: str | float | None, decimals: int) -> str:

@@ -1,14 +1,12 @@
-"""What came of a run, as one page that needs nothing beside it: figures, curves, pictures, timings."""
+"""What came of a run: figures, curves, pictures, timings."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
 from gsrain_engine.render.machine import machine
-from gsrain_engine.scene.atomic_files import whole_file
 
 from .comparison import Comparison
 
@@ -48,6 +46,8 @@ class ReportTable:
     rows: tuple[tuple[str | float | None, ...], ...]
     decimals: int = 3
     caption: str = ""
+    definitions: tuple[str, ...] = ()
+    """What the columns mean, a sentence each, below the table."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,16 +75,3 @@ class RunReport:
     figures: tuple[Figure, ...] = ()
     """Shown first."""
     tables: tuple[ReportTable, ...] = ()
-
-
-def write_report(file: Path, report: RunReport) -> None:
-    """Write a page of HTML with its style, curves and pictures inside; the file appears whole or not at all.
-
-    Missing parents are made.
-    """
-    from .page import report_page  # the page needs the types above
-
-    page = report_page(report)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(file) as beside:
-        beside.write_text(page, encoding="utf-8")

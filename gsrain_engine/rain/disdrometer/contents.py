@@ -4,10 +4,14 @@ import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
+from gsrain_engine.plain_values import read_at_most
 from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError
 
 LARGEST_FILE = 256 * 2**20
 """Bytes, after inflation: about two months of a Parsivel's minutes as text."""
+
+MOST_LINES = 8_000_000
+"""Of text: a telegram has a line a field, and some hundred bytes in each three or four."""
 
 _GZIP_MAGIC = b"\x1f\x8b"
 _GZIP_WINDOW = 31
@@ -33,6 +37,8 @@ class Contents:
     @property
     def lines(self) -> list[str]:
         """Lines of text without their ends; Latin-1, which every byte is valid in."""
+        if self.data.count(b"\n") > MOST_LINES:
+            raise DisdrometerFileError(self.path, f"the file holds more than {MOST_LINES:,} lines: split it by days")
         text = self.data.decode("latin-1").removeprefix("\u00ef\u00bb\u00bf")
         return [line.rstrip("\r") for line in text.split("\n")]
 
@@ -44,8 +50,7 @@ def read_contents(path: Path) -> Contents:
     damaged. A gzip stream that is only cut off gives what came before the cut.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST_FILE + 1)
+        data = read_at_most(path, LARGEST_FILE)
     except OSError as error:
         raise DisdrometerFileError(path, error.strerror or str(error)) from None
     cut_off = False

@@ -5,8 +5,10 @@ from pathlib import Path
 
 from gsrain_engine.rain.disdrometer.class_mask import is_class_mask
 from gsrain_engine.rain.disdrometer.contents import Contents, read_contents
+from gsrain_engine.rain.disdrometer.installed_logs import read_by_packages
 from gsrain_engine.rain.disdrometer.minute_tables import is_minute_table, read_minute_table
 from gsrain_engine.rain.disdrometer.netcdf import is_netcdf, read_netcdf
+from gsrain_engine.rain.disdrometer.parsivel_asdo import is_parsivel_asdo, read_parsivel_asdo
 from gsrain_engine.rain.disdrometer.parsivel_logs import parsivel_log_dialect, read_parsivel_log
 from gsrain_engine.rain.disdrometer.parsivel_telegrams import is_parsivel_telegrams, read_parsivel_telegrams
 from gsrain_engine.rain.disdrometer.rates_only import is_rainsense_intensity, read_rainsense_intensity
@@ -16,6 +18,7 @@ from gsrain_engine.rain.disdrometer.thies import is_thies, read_thies
 __all__ = ["DisdrometerFileError", "Reading", "SingleDrops", "read_disdrometer"]
 
 _TEXTS = (
+    (is_parsivel_asdo, read_parsivel_asdo),
     (is_parsivel_telegrams, read_parsivel_telegrams),
     (is_thies, read_thies),
     (is_minute_table, read_minute_table),
@@ -52,4 +55,7 @@ def _read_text(path: Path, contents: Contents) -> Reading:
             return read(path, lines)
     if is_class_mask(lines):
         raise DisdrometerFileError(path, "a mask of diameters and speeds, no measurement: read it with read_class_mask")
+    reading = read_by_packages(path, lines)
+    if reading is not None:
+        return reading
     raise DisdrometerFileError(path, "line 1: not a disdrometer file of a kind that is known")

@@ -44,6 +44,8 @@ def read_instrument_spectra(path: Path, dataset: xr.Dataset) -> Reading:
     spectrum = dataset[axes.variable].transpose(axes.time, axes.diameter, axes.velocity)
     if spectrum.size > MOST_COUNTS:
         raise DisdrometerFileError(path, f"{spectrum.shape[0]} spectra: split the file by days")
+    if spectrum.shape[0] == 0:
+        raise DisdrometerFileError(path, no_record_left(()))
     instrument = _instrument(path, dataset, axes)
     raw = spectrum.to_numpy().astype(np.float64).reshape(spectrum.shape[0], -1)
     times = record_times(dataset, axes.time)

@@ -7,15 +7,13 @@ from pathlib import Path
 import h5py
 import xarray as xr
 
+from gsrain_engine.rain.disdrometer.hdf5_trial import LARGEST_DATASET, passes_trial
 from gsrain_engine.rain.disdrometer.instrument_spectra import read_instrument_spectra
 from gsrain_engine.rain.disdrometer.joss_waldvogel import is_joss_waldvogel, read_joss_waldvogel
 from gsrain_engine.rain.disdrometer.netcdf_classic import with_whole_records
 from gsrain_engine.rain.disdrometer.netcdf_spectra import is_gsrain_spectra, read_gsrain_spectra
 from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError, Reading
 from gsrain_engine.rain.disdrometer.two_dvd import is_two_dvd, read_two_dvd
-
-LARGEST_DATASET = 2 * 2**30
-"""Bytes of all variables once unpacked."""
 
 _CLASSIC = (b"CDF\x01", b"CDF\x02")
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -61,6 +59,8 @@ def _opened(path: Path, data: bytes) -> xr.Dataset:
         engine = "scipy"
         if data.startswith(_HDF5):
             engine = "h5netcdf"
+            if not passes_trial(data):
+                raise DisdrometerFileError(path, "the NetCDF file is damaged: HDF5's library does not come to its end")
             _check_size(path, _unpacked_bytes(data))
         with xr.open_dataset(BytesIO(data), engine=engine, decode_timedelta=False) as dataset:
             _check_size(path, dataset.nbytes)

@@ -20,7 +20,7 @@ _EPOCH = np.datetime64("1970-01-01T00:00:00", "ms")
 _TIME_UNITS = "milliseconds since 1970-01-01T00:00:00Z"
 
 
-def write_spectra(path: Path, spectra: DropSpectra) -> None:
+def write_spectra(path: Path | str, spectra: DropSpectra) -> None:
     """Write spectra to a file, whole or not at all."""
     speeds = spectra.velocities_m_s
     counts = spectra.counts if speeds is not None else spectra.counts[:, :, 0]
@@ -54,7 +54,7 @@ def write_spectra(path: Path, spectra: DropSpectra) -> None:
     encoding = {name: {"_FillValue": None} for name in file.variables} | {
         "drops": {"_FillValue": None, "zlib": True, "complevel": 4, "shuffle": True}
     }
-    with whole_file(path) as beside:
+    with whole_file(Path(path)) as beside:
         file.to_netcdf(beside, engine="h5netcdf", encoding=encoding)
 
 

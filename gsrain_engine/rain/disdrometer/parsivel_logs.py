@@ -100,25 +100,6 @@ def interval_s(text: str) -> float:
     return seconds
 
 
-def _tagged(line: str) -> Record:
-    """date; time; rate; ...; <SPECTRUM>counts, none for 0</SPECTRUM>, or ZERO for all."""
-    head, opened, rest = line.partition("<SPECTRUM>")
-    spectrum, closed, _ = rest.partition("</SPECTRUM>")
-    if not opened or not closed:
-        raise RecordError("the spectrum is not whole: the record is cut off")
-    values = head.split(";")
-    if len(values) < 17:
-        raise RecordError(f"{len(values)} fields before the spectrum instead of 17")
-    dry = spectrum.strip() == "ZERO"
-    counts = [value or "0" for value in spectrum.removesuffix(";").split(";")]
-    return Record(
-        time=utc(f"{values[0]} {values[1]}", "%Y/%m/%d %H:%M:%S"),
-        seconds=float("nan"),
-        reported_mm_h=rain_rate(values[2]),
-        counts=np.zeros(_COUNTS) if dry else drop_counts(counts, _COUNTS),
-    )
-
-
 def _campbell(lines: list[str]) -> Dialect | None:
     """TIMESTAMP, RECORD, then columns as the logger's second line names them; none where they aren't a Parsivel's."""
     header = next((line for line in lines if line.startswith('"TIMESTAMP"')), "")
@@ -146,5 +127,4 @@ _CAMPBELL_HEADER = re.compile(r'^"(TOA5|TIMESTAMP|TS|)",')
 _DIALECTS = (
     Dialect(re.compile(r'^\d+,[\d.]+,[\d.]+,"\d\d-\d\d-\d{4} \d\d:\d\d:\d\d","'), _locarno),
     Dialect(re.compile(r"^\d{14}(\.\d+)?;[^;]*;[^;]*;[^;]*;[^;]*;[^;]*;\d+;"), _station),
-    Dialect(re.compile(r"<SPECTRUM>"), _tagged, header=re.compile(r"^Date;")),
 )

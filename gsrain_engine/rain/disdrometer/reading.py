@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64, Shaped
 
+from gsrain_engine.printable import printable
 from gsrain_engine.rain.disdrometer.spectra import DropSpectra
 
 
@@ -13,7 +14,7 @@ class DisdrometerFileError(ValueError):
     """A file from which no record can be taken, in one sentence: which file, which record, and why."""
 
     def __init__(self, path: Path, reason: str):
-        super().__init__(f"{path}: {reason}")
+        super().__init__(f"{path}: {printable(reason)}")
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -38,6 +38,11 @@ def open_measured(path: Path) -> MeasuredFile:
     return MeasuredFile(path=path, reading=reading, trusted=trusted, quality=quality)
 
 
+def calibrate(paths: Sequence[Path | str], *, name: str, options: FitOptions | None = None) -> FittedCalibration:
+    """Read files of one instrument and fit a calibration; raises as `open_measured` and `calibrate_files` do."""
+    return calibrate_files([open_measured(Path(path)) for path in paths], name=name, options=options)
+
+
 def calibrate_files(
     files: Sequence[MeasuredFile], *, name: str, options: FitOptions | None = None
 ) -> FittedCalibration:

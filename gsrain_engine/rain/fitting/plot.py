@@ -29,8 +29,9 @@ _WITHOUT_DATE: dict[str, dict[str, None]] = {"png": {}, "pdf": {"CreationDate": 
 _STYLE: dict[str, Any] = {"fontsize": 8, "frameon": False}
 
 
-def write_plot(fitted: FittedCalibration, path: Path) -> None:
+def write_plot(fitted: FittedCalibration, path: Path | str) -> None:
     """Draw and write a figure, whole or not at all. Raises `ValueError` for a name that `check_plot_name` refuses."""
+    path = Path(path)
     kind = check_plot_name(path)
     with whole_file(path) as beside, rc_context({"svg.hashsalt": "gsrain"}):
         draw_calibration(fitted).savefig(beside, format=kind, dpi=_DPI, metadata=_WITHOUT_DATE[kind])

@@ -1,0 +1,1 @@
+"""What a reconstruction begins with: first Gaussians, sky, ego mask, actors."""

@@ -1,0 +1,1 @@
+"""Where Gaussians are added, moved and taken away during a training."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped
 
-from ..training.splat_parameters import SplatParameters, Tensor
+from ..parameters.splat_parameters import SplatParameters, Tensor
 
 torch: Any = import_module("torch")
 

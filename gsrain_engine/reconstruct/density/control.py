@@ -6,7 +6,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Shaped
 
-from ..training.splat_parameters import SplatParameters, Tensor
+from ..parameters.splat_parameters import SplatParameters, Tensor
 
 
 @runtime_checkable

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from gsrain_engine.scene.camera import Camera
 
 from ..beginning.shortened import LONGEST
-from ..training.splat_parameters import SplatParameters, Tensor
+from ..parameters.splat_parameters import SplatParameters, Tensor
 from .control import DensityControl
 
 torch: Any = import_module("torch")

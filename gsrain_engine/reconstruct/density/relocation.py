@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.special import comb
 
-from ..training.splat_parameters import Tensor
+from ..parameters.splat_parameters import Tensor
 
 torch: Any = import_module("torch")
 

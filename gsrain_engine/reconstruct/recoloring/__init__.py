@@ -1,0 +1,1 @@
+"""Colours of fixed Gaussians solved for given views."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from ..training.adam_kernel import FIRST_DECAY, SECOND_DECAY, adam_step
+from ..parameters.adam_kernel import FIRST_DECAY, SECOND_DECAY, adam_step
 from ..training.losses import d_ssim, l1
 from .problem import ColorProblem, ProblemView, Solution
 from .solver import Step, add_seen, colors_seen

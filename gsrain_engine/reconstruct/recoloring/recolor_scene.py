@@ -4,16 +4,16 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
-import cv2
 import msgspec
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32
 
 from gsrain_engine.evaluate.image_metrics import psnr
-from gsrain_engine.scene.progress import Progress
+from gsrain_engine.scene.progress import Progress, part_of
 from gsrain_engine.scene.scene import Scene
 
 from .choice import chosen_pull
+from .preview import small_picture
 from .problem import ProblemView, Solution
 from .settings import RecolorSettings
 from .setup import SetUp, set_up
@@ -21,7 +21,6 @@ from .views import TargetView
 
 _SETUP_DONE, _CHOSEN_DONE, _SOLVED_DONE = 0.4, 0.55, 0.96
 """Shares of the whole time, measured on the built-in street with 30 views."""
-_PREVIEW_WIDTH_PX = 320
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +85,7 @@ def recolor_scene(
         ValueError: When there is no picture, or none shows anything of the scene.
     """
     started = perf_counter()
-    setup = yield from _part(set_up(scene, targets, held_out, settings), 0.0, _SETUP_DONE)
+    setup = yield from part_of(set_up(scene, targets, held_out, settings), 0.0, _SETUP_DONE)
     ready = perf_counter()
     pull = settings.tikhonov if settings.tikhonov is not None else (yield from _chosen(setup, settings))
     settings = msgspec.structs.replace(settings, tikhonov=pull)
@@ -103,16 +102,6 @@ def recolor_scene(
     }
     yield Progress(1.0, "Done")
     return Recolored(reports, setup, solution, seconds, lengths, pull)
-
-
-def _part(steps: Generator[Progress, None, SetUp], first: float, last: float) -> Generator[Progress, None, SetUp]:
-    """Pass a part's progress on as a share of the whole."""
-    while True:
-        try:
-            progress = next(steps)
-        except StopIteration as finished:
-            return finished.value
-        yield progress._replace(fraction=first + (last - first) * progress.fraction)
 
 
 def _chosen(setup: SetUp, settings: RecolorSettings) -> Generator[Progress, None, float]:
@@ -139,7 +128,7 @@ def _solved(setup: SetUp, settings: RecolorSettings) -> Generator[Progress, None
         lengths.append(step.length)
         share = _CHOSEN_DONE + (_SOLVED_DONE - _CHOSEN_DONE) * len(lengths) / settings.iterations
         picture = problem.views[0].shown(problem.prior + step.change)
-        yield Progress(share, f"Solving colours, step {len(lengths)} of {settings.iterations}", _preview(picture))
+        yield Progress(share, f"Solving colours, step {len(lengths)} of {settings.iterations}", small_picture(picture))
 
 
 def _reports(setup: SetUp, solution: Solution) -> tuple[ViewReport, ...]:
@@ -159,9 +148,3 @@ def _report(view: ProblemView, setup: SetUp, solution: Solution, trust: float, *
     pictures = (np.clip(clear, 0, 1), view.shown(setup.problem.prior), view.shown(solution.sh))
     figures = [psnr(picture, seen.target.image, seen.counted) for picture in pictures]
     return ViewReport(seen.target.name, is_held_out, trust, *figures)
-
-
-def _preview(picture: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
-    shrink = min(1.0, _PREVIEW_WIDTH_PX / picture.shape[1])
-    small = cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
-    return np.rint(small * np.float32(255)).astype(np.uint8)

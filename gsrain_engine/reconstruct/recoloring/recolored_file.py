@@ -1,6 +1,5 @@
 """The file a recolouring writes: new spherical harmonics a layer and actor, and nothing else (.npz, no pickle)."""
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
+from gsrain_engine.array_archives import read_archive
+from gsrain_engine.printable import printable
 from gsrain_engine.scene.atomic_files import whole_file
 from gsrain_engine.scene.errors import SceneFormatError
 
@@ -30,15 +31,15 @@ def read_recolored(path: Path | str) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
         SceneFormatError: When the file holds something else.
     """
     try:
-        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            version = int(file["version"])
-            if version > _VERSION:
-                raise SceneFormatError(path, f"version {version} is newer than {_VERSION}, which this program knows")
-            colors = {str(name): file[f"sh_{i}"] for i, name in enumerate(file["names"])}
-    except (KeyError, TypeError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        file = read_archive(Path(path))
+        version = int(file["version"])
+        if version > _VERSION:
+            raise SceneFormatError(path, f"version {version} is newer than {_VERSION}, which this program knows")
+        colors = {str(name): file[f"sh_{i}"] for i, name in enumerate(file["names"])}
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         if isinstance(error, SceneFormatError):
             raise
-        raise SceneFormatError(path, f"not a file of recoloured Gaussians: {error}") from None
+        raise SceneFormatError(path, f"not a file of recoloured Gaussians: {printable(error)}") from None
     for name, sh in colors.items():
         if sh.dtype != np.float32 or sh.ndim != 3 or sh.shape[2] != 3:
             raise SceneFormatError(path, f"harmonics of {name!r} are {sh.dtype} {sh.shape}, expected float32 (n, k, 3)")

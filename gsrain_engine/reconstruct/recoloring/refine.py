@@ -15,8 +15,8 @@ from gsrain_engine.scene.members import Part
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.rotations import quaternions_from_matrices
 
+from ..parameters.splat_parameters import SplatParameters
 from ..training.losses import d_ssim, l1
-from ..training.splat_parameters import SplatParameters
 from .polish import D_SSIM_SHARE
 from .problem import ProblemView, Solution
 

@@ -13,7 +13,7 @@ from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.evaluate.report.comparison import Comparison
 from gsrain_engine.evaluate.report.run_report import Curve, RunReport
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.progress import Progress
+from gsrain_engine.scene.progress import Progress, part_of
 from gsrain_engine.scene.scene import Scene
 
 from ..training.held_out import held_out_indices
@@ -74,14 +74,14 @@ def recolor_to_capture(
     taught, held_out = ([t for i, t in enumerate(targets) if (i in kept) == out] for out in (False, True))
     later = (options.polish > 0) + (options.refine > 0)
     last = 1 / (1 + 2 * later)
-    recolored = yield from _share(recolor_scene(scene, taught, held_out, options.colors), _READ_DONE, last)
+    recolored = yield from part_of(recolor_scene(scene, taught, held_out, options.colors), _READ_DONE, last)
     if options.polish:
         middle = last + (1 - last) / later
-        recolored = yield from _share(_polished(recolored, options), last, middle)
+        recolored = yield from part_of(_polished(recolored, options), last, middle)
         last = middle
     gaussians: dict[str, Gaussians] = {}
     if options.refine:
-        gaussians = yield from _share(_refined(scene, recolored, options.refine), last, 1.0)
+        gaussians = yield from part_of(_refined(scene, recolored, options.refine), last, 1.0)
     result = _with_colors(scene, recolored.colors, gaussians, replace_clear=options.replace_clear)
     yield Progress(1.0, "Done")
     numbers = _numbers(scene, recolored)
@@ -99,16 +99,6 @@ def _with_colors(
         else:
             scene = scene.with_member(key, gaussians=new.with_sh(clear.sh), wet_sh=new.sh)
     return scene
-
-
-def _share(steps: Generator[Progress, None, _Result], first: float, last: float) -> Generator[Progress, None, _Result]:
-    """Pass a part's progress on as a share of the whole."""
-    while True:
-        try:
-            progress = next(steps)
-        except StopIteration as finished:
-            return finished.value
-        yield progress._replace(fraction=first + (last - first) * progress.fraction)
 
 
 def _polished(recolored: Recolored, options: RecolorOptions) -> Generator[Progress, None, Recolored]:

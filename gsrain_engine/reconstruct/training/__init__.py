@@ -1,0 +1,1 @@
+"""The training of a scene's Gaussians on a capture's views."""

@@ -1,6 +1,5 @@
 """How far a training has come, on disk: a NumPy archive without pickles that appears whole or not at all."""
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +8,8 @@ import msgspec
 import numpy as np
 from jaxtyping import Shaped
 
+from gsrain_engine.array_archives import read_archive
+from gsrain_engine.printable import printable
 from gsrain_engine.scene.atomic_files import whole_file
 
 from .settings import TrainingSettings
@@ -54,15 +55,14 @@ def read_checkpoint(file: Path, settings: TrainingSettings, capture: str) -> Che
     if not file.is_file():
         raise CheckpointError(f"{file}: there is no checkpoint to resume from; leave --resume out to begin anew")
     try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        arrays = read_archive(file)
         head = msgspec.json.decode(arrays.pop("head").tobytes(), type=_Head)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, msgspec.MsgspecError) as error:
-        raise CheckpointError(f"{file}: not a checkpoint, or a damaged one: {error}") from None
+    except (OSError, ValueError, KeyError, RecursionError, msgspec.MsgspecError) as error:
+        raise CheckpointError(f"{file}: not a checkpoint, or a damaged one: {printable(error)}") from None
     if head.version != _VERSION:
         raise CheckpointError(f"{file}: a checkpoint of version {head.version}, expected {_VERSION}")
     if head.capture != capture:
-        raise CheckpointError(f"{file}: made from other views ({head.capture}), now they are {capture}")
+        raise CheckpointError(f"{file}: made from other views ({printable(head.capture)}), now they are {capture}")
     for name in settings.__struct_fields__:
         before, now = getattr(head.settings, name), getattr(settings, name)
         if before != now and name not in _FREE:

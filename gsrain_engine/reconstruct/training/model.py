@@ -13,7 +13,7 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.members import Actor
 from gsrain_engine.scene.rotations import quaternions_from_matrices
 
-from .splat_parameters import SplatParameters
+from ..parameters.splat_parameters import SplatParameters
 
 torch: Any = import_module("torch")
 

@@ -7,7 +7,8 @@ import msgspec
 import numpy as np
 
 from gsrain_engine.evaluate.report.comparison import Comparison
-from gsrain_engine.evaluate.report.run_report import Curve, RunReport, write_report
+from gsrain_engine.evaluate.report.report_file import write_report
+from gsrain_engine.evaluate.report.run_report import Curve, RunReport
 
 from .held_out import mean_of
 from .reconstruction import MeasuredPicture, Reconstruction

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, get_type_hints
 import msgspec
 from msgspec import Meta
 
+from gsrain_engine.explained_errors import converted
 from gsrain_engine.shipped_configs import load_values, shipped_names
 
 _FOLDER = "reconstruct"
@@ -141,10 +142,10 @@ def load_settings(name: str | Path | None = None, **changes: Any) -> TrainingSet
     values = {} if name is None else load_values(_FOLDER, name, "--config")
     changed = {key: value for key, value in changes.items() if value is not None}
     try:
-        msgspec.convert(values, TrainingSettings)
-    except msgspec.ValidationError as error:
+        converted(values, TrainingSettings)
+    except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
-    return msgspec.convert(values | changed, TrainingSettings)
+    return converted(values | changed, TrainingSettings)
 
 
 def help_of(name: str) -> str:

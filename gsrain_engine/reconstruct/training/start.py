@@ -27,12 +27,12 @@ from ..density.adaptive import AdaptiveDensity, AdaptiveSettings
 from ..density.control import DensityControl
 from ..density.free_space import ClearedDensity, FreeSpace
 from ..density.monte_carlo import MonteCarloDensity, MonteCarloSettings
+from ..parameters.splat_parameters import SplatParameters
 from .held_out import Perceived
 from .model import SplatModel
 from .run import Training
 from .schedule import Schedule, camera_extent
 from .settings import TrainingSettings
-from .splat_parameters import SplatParameters
 from .views import TrainingView, prepared_views
 
 torch: Any = import_module("torch")
@@ -89,7 +89,10 @@ def start_training(
         control = ClearedDensity(control, free, settings.steps)
     training = Training(model, [ready[i] for i in learned], schedule, control, device)
     if not capture.is_metric:
-        logger.info("%s: nothing tells how long a metre is; set the scene's scale before it rains", capture.name)
+        logger.info(
+            "%s: nothing tells how long a metre is; set the scene's scale before it rains (in the window, or by "
+            "gsrain convert --metres-per-unit)", capture.name,
+        )  # fmt: skip
     return StartedTraining(training, [ready[i] for i in held_out], _perceived(lpips, device))
 
 

@@ -11,7 +11,7 @@ from .memory import check_room, gaussian_bytes
 
 _LARGEST_EXPANSION = 200
 """Gaussians in memory over bytes of their file. Real SPZ and SOG scenes expand 6 to 30 times, bombs 1000 and more."""
-_ALWAYS_ALLOWED_BYTES = 256 * 2**20
+_ALWAYS_ALLOWED_BYTES = 64 * 2**20
 """What a file of any size may expand to: scenes made of equal Gaussians compress without a bound."""
 _LARGEST_ZSTD_WINDOW = 2**27
 """What zstd itself allows without being asked (windowLog 27)."""

@@ -1,31 +1,20 @@
-"""The table of single-file formats; a new one is one file with a reader and one row here."""
+"""The table of single-file formats; a new one is one file with a reader and one row here, or an installed package."""
 
 import difflib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 from ..atomic_files import whole_file
 from ..errors import SceneFormatError
 from ..gaussians import Gaussians
 from .checks import check_finite
+from .format import Format
+from .installed_formats import installed_format, installed_suffixes
 from .ksplat import read_ksplat
 from .ply import read_ply, write_ply
 from .sog import read_sog
 from .splat import read_splat, write_splat
 from .spz import read_spz, write_spz
-
-
-class Format(NamedTuple):
-    """A way to keep Gaussians in one file."""
-
-    suffix: str
-    """End of the file's name, in lower case; the first row that matches counts."""
-    read: Callable[[Path], Gaussians]
-    write: Callable[[Gaussians, Path], None] | None
-    """Writes to just this path, which is beside the file's place; None where we only read."""
-    description: str
-
 
 FORMATS = (
     Format(".compressed.ply", read_ply, None, "SuperSplat's compressed PLY: 16 bytes a Gaussian and its harmonics"),
@@ -36,11 +25,21 @@ FORMATS = (
     Format(".sog", read_sog, None, "PlayCanvas' images in a zip file"),
     Format("meta.json", read_sog, None, "PlayCanvas' images in a folder"),
 )
+"""Our formats; see `scene_suffixes` for those of installed packages too."""
 
 
 def format_of(path: Path) -> Format | None:
-    """Row of the table that a file's name belongs to."""
-    return next((row for row in FORMATS if path.name.lower().endswith(row.suffix)), None)
+    """Row of the table that a file's name belongs to, else the format of an installed package; None where none fits.
+
+    Raises `SceneFormatError` where that package can't be used.
+    """
+    ours = next((row for row in FORMATS if path.name.lower().endswith(row.suffix)), None)
+    return ours or installed_format(path)
+
+
+def scene_suffixes() -> tuple[str, ...]:
+    """Return the ends of the names of all files that hold scenes, those of installed packages last."""
+    return (*(row.suffix for row in FORMATS), *installed_suffixes())
 
 
 def read_gaussians(path: Path) -> Gaussians:
@@ -52,7 +51,8 @@ def read_gaussians(path: Path) -> Gaussians:
     """
     row = format_of(path)
     if row is None:
-        raise SceneFormatError(path, f"no known scene format: the name must end in {_suffixes(FORMATS)}{_slip(path)}")
+        known = _listed(scene_suffixes())
+        raise SceneFormatError(path, f"no known scene format: the name must end in {known}{_slip(path)}")
     if path.exists() and not path.is_file():
         raise SceneFormatError(path, "not a file")
     return row.read(path)
@@ -68,7 +68,7 @@ def write_gaussians(gaussians: Gaussians, path: Path) -> None:
     """
     row = format_of(path)
     if row is None or row.write is None:
-        writable = _suffixes([each for each in FORMATS if each.write is not None])
+        writable = _listed([each.suffix for each in FORMATS if each.write is not None])
         reason = "can't be written" if row is None else f"{row.suffix} is read but not written"
         raise SceneFormatError(path, f"{reason}: the name must end in {writable}{_slip(path)}")
     if path.is_dir():
@@ -104,9 +104,9 @@ def close_match(name: str, known: Sequence[str]) -> str:
 
 def _slip(path: Path) -> str:
     """Ask for the suffix that a name which belongs to no format may have been meant to end in."""
-    return close_match(path.suffix, [row.suffix for row in FORMATS]) if format_of(path) is None else ""
+    return close_match(path.suffix, scene_suffixes()) if format_of(path) is None else ""
 
 
-def _suffixes(rows: Sequence[Format]) -> str:
-    *first, last = (row.suffix for row in rows)
+def _listed(suffixes: Sequence[str]) -> str:
+    *first, last = suffixes
     return f"{', '.join(first)} or {last}"

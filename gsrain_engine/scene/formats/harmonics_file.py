@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
+from gsrain_engine.array_header import read_array_header
+
 from ..errors import SceneFormatError
 from .checks import check_finite
 
@@ -19,9 +21,7 @@ def read_harmonics(path: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "n
     """
     with path.open("rb") as file:
         try:
-            if np.lib.format.read_magic(file) != (1, 0):
-                raise ValueError("another version than 1.0")
-            found, is_fortran, dtype = np.lib.format.read_array_header_1_0(file)
+            found, is_fortran, dtype = read_array_header(file)
         except ValueError as error:
             raise SceneFormatError(path, f"no array file of wet colours: {error}") from None
         if dtype != np.dtype("<f4") or is_fortran or found != shape:

@@ -14,6 +14,7 @@ from .checks import check_finite, checked_gaussians
 from .compressed_ply import is_compressed, read_compressed
 from .memory import check_room
 from .ply_header import PlyElement, element_rows, read_ply_header
+from .ply_rows import spread_rows
 
 _MEANS = ("x", "y", "z")
 _BASE_SH = ("f_dc_0", "f_dc_1", "f_dc_2")
@@ -25,6 +26,15 @@ _NORMALS = ("nx", "ny", "nz")
 
 _CHUNK_BYTES = 1 << 18
 """Rows are read and spread over the arrays in pieces that stay in the processor's cache."""
+_Arrays = tuple[
+    Float32[np.ndarray, "n 3"],
+    Float32[np.ndarray, "n 3"],
+    Float32[np.ndarray, "n 4"],
+    Float32[np.ndarray, " n"],
+    Float32[np.ndarray, "n k 3"],
+]
+"""Means, logarithms of scales, quaternions, logits of opacities, harmonics."""
+
 _LARGEST_LOGIT = 100.0
 """Written for an opacity of 1 or 0, whose logit is infinite: it gives just 1 or 0 back in 32-bit floats."""
 _SMALLEST_SCALE = np.float32(1e-37)
@@ -71,13 +81,10 @@ def _read_vertices(path: Path, file: BufferedReader, vertex: PlyElement) -> Gaus
     means, scales, quaternions = (np.empty((n, size), np.float32) for size in (3, 3, 4))
     opacities = np.empty(n, np.float32)
     sh = np.empty((n, coefficients, 3), np.float32)
-    columns = dict(zip(_MEANS, means.T, strict=True)) | dict(zip(_SCALES, scales.T, strict=True))
-    columns |= dict(zip(_QUATERNIONS, quaternions.T, strict=True)) | {"opacity": opacities}
-    columns |= _sh_columns(sh)
     file.seek(offset)
     # Numbers too large for 32 bits become infinite, and are named below.
     with np.errstate(over="ignore", invalid="ignore"):
-        _spread_rows(path, file, n, dtype, columns)
+        _spread_rows(path, file, dtype, (means, scales, quaternions, opacities, sh))
         check_finite(path, {"logarithm of a scale": scales, "logit of an opacity": opacities})
         np.exp(scales, out=scales)
         activate_opacities(opacities)
@@ -107,25 +114,29 @@ def _coefficients(path: Path, dtype: "np.dtype[Any]") -> int:
     return expected[len(rest)]
 
 
-def _sh_columns(sh: Float32[np.ndarray, "n k 3"]) -> dict[str, Float32[np.ndarray, " n"]]:
-    """Where each property goes: the file has all harmonics of red, then of green, then of blue."""
-    rest = sh.shape[1] - 1
-    columns = {name: sh[:, 0, channel] for channel, name in enumerate(_BASE_SH)}
-    columns |= {f"f_rest_{c * rest + k}": sh[:, 1 + k, c] for c in range(3) for k in range(rest)}
-    return columns
+def _properties(coefficients: int) -> list[str]:
+    """Names of the properties in the order of the arrays; the file has all harmonics of red, then of green, of blue."""
+    rest = coefficients - 1
+    harmonics = [f"f_rest_{channel * rest + k}" for k in range(rest) for channel in range(3)]
+    return [*_MEANS, *_SCALES, *_QUATERNIONS, "opacity", *_BASE_SH, *harmonics]
 
 
-def _spread_rows(
-    path: Path, file: BufferedReader, count: int, dtype: "np.dtype[Any]", columns: dict[str, Float32[np.ndarray, " n"]]
-) -> None:
-    """Copy the properties of the file's next `count` rows into one array each."""
+def _spread_rows(path: Path, file: BufferedReader, dtype: "np.dtype[Any]", arrays: _Arrays) -> None:
+    """Copy the properties of the file's next rows into arrays, piece by piece; numbers of any kind become float32."""
+    count, names = len(arrays[0]), _properties(arrays[4].shape[1])
     piece = np.empty(min(count, max(1, _CHUNK_BYTES // dtype.itemsize)), dtype)
+    places = {name: number for number, name in enumerate(dtype.names or ())}
+    is_plain = all(dtype[name] == np.float32 for name in places)
+    columns = np.array([places[name] if is_plain else i for i, name in enumerate(names)], np.int64)
     for start in range(0, count, len(piece) or 1):
         rows = piece[: count - start]
         if file.readinto(rows.view(np.uint8).data) != rows.nbytes:
             raise SceneFormatError(path, "the file became shorter while it was read")
-        for name, column in columns.items():
-            column[start : start + len(rows)] = rows[name]
+        if is_plain:
+            numbers = rows.view(np.float32).reshape(len(rows), len(places))
+        else:
+            numbers = np.stack([rows[name] for name in names], axis=1, dtype=np.float32, casting="unsafe")
+        spread_rows(numbers, columns, *(array[start : start + len(rows)] for array in arrays))
 
 
 def _rows(gaussians: Gaussians) -> Float32[np.ndarray, "n p"]:

@@ -13,7 +13,8 @@ from .known_files import KnownFiles
 from .scene_folder import SCENE_FILE, read_scene_folder, write_scene_folder
 from .sog import read_sog
 
-_SOG_FILE = "meta.json"
+SOG_FILE = "meta.json"
+"""What tells that a folder is a SOG scene that was unpacked."""
 
 
 def read_scene(path: Path | str, known: KnownFiles | None = None) -> Scene:
@@ -73,9 +74,9 @@ def _read(path: Path, known: KnownFiles | None) -> Scene:
         return _single_layer(_stem(path), read_gaussians(path))
     if (path / SCENE_FILE).is_file():
         return read_scene_folder(path, known)
-    if (path / _SOG_FILE).is_file():
+    if (path / SOG_FILE).is_file():
         return _single_layer(path.resolve().name, read_sog(path))
-    raise SceneFormatError(path, f"a scene folder holds {SCENE_FILE} and a SOG folder {_SOG_FILE}; this has neither")
+    raise SceneFormatError(path, f"a scene folder holds {SCENE_FILE} and a SOG folder {SOG_FILE}; this has neither")
 
 
 def _neighbour(path: Path) -> str:

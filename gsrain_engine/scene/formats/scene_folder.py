@@ -1,16 +1,14 @@
 """Scene folders: `scene.json`, one 3DGS PLY a layer and actor, and their wet colours beside them."""
 
-import glob
 import hashlib
 import os
 import re
 import shutil
-import time
 from pathlib import Path
 
 import msgspec
 
-from ..atomic_files import sync, whole_file, whole_folder
+from ..atomic_files import sync, telling_of, whole_file, whole_folder
 from ..errors import SceneFormatError
 from ..file_lock import locked
 from ..gaussians import Gaussians
@@ -30,8 +28,6 @@ _LARGEST_SCENE_FILE = 1 << 26
 
 _OURS = re.compile(r"\d{3}-.+-([0-9a-f]{12})\.(?:ply|wet\.npy)|\.\d{3}-.+\.part|\.scene\.json\.[0-9a-f]{8}\.part")
 """Names that only we give: a writer that was killed leaves such files behind. The group is the hash of the contents."""
-_ABANDONED_S = 600.0
-"""What another process has not touched for so long, it does not write any more."""
 
 
 class _Version(msgspec.Struct):
@@ -113,16 +109,16 @@ def write_scene_folder(
     writer = _Writer(scene, known or KnownFiles(), linking, in_drawing_order)
     _check_writable(scene, folder, writer.known)
     if _is_new(folder):
-        _remove_abandoned(folder)
         with whole_folder(folder) as beside:
             placed = writer.write(beside, set())
         placed = [(contents, folder / file.relative_to(beside)) for contents, file in placed]
     else:
-        with locked(folder):
+        with locked(folder), telling_of(folder, folder):
             old = _replaceable_files(folder)
             placed = writer.write(folder, old)
             for file in (old | _leftovers(folder)) - {file for _, file in placed}:
-                file.unlink(missing_ok=True)
+                if _is_own(folder, file):  # of a link only itself goes, never what it leads to
+                    file.unlink(missing_ok=True)
     writer.known.remember(folder, placed)
 
 
@@ -165,13 +161,6 @@ def _leftovers(folder: Path) -> set[Path]:
     """Files under names that only we give, in a scene folder; those of its present scene among them."""
     places = (folder, folder / "layers", folder / "actors")
     return {file for place in places if place.is_dir() for file in place.iterdir() if _OURS.fullmatch(file.name)}
-
-
-def _remove_abandoned(folder: Path) -> None:
-    """Remove what writers that were killed have left beside the place of a new folder."""
-    for part in folder.parent.glob(f".{glob.escape(folder.name)}.*.part"):
-        if part.is_dir() and time.time() - part.stat().st_mtime > _ABANDONED_S:
-            shutil.rmtree(part, ignore_errors=True)
 
 
 class _Writer:
@@ -245,7 +234,7 @@ class _Writer:
             return None
         target.unlink(missing_ok=True)
         try:
-            os.link(source, target)
+            os.link(source.resolve(), target)
         except OSError:  # another disk, or one without second names
             shutil.copyfile(source, target)
             sync(target)
@@ -290,15 +279,39 @@ def _checked_version(folder: Path) -> bytes:
 
 
 def _places(folder: Path, record: SceneRecord) -> dict[str, Path]:
-    """Where a record's files are, in their order; every one inside the folder and used once."""
+    """Where a record's files are, in their order: every name inside the folder and used once.
+
+    What stands there may be a link to a file elsewhere: people keep large files on another disk.
+    """
+    home = folder.resolve()
     places: dict[str, Path] = {}
     for file in record.every_file:
-        place = (folder / file.replace("\0", "?")).resolve()
-        if Path(file).is_absolute() or not place.is_relative_to(folder.resolve()):
+        place = Path(os.path.normpath(home / file.replace("\0", "?")))
+        if Path(file).is_absolute() or home not in place.parents:
             raise SceneFormatError(folder / SCENE_FILE, f"file {file!r} must lie inside the scene folder")
-        if not place.is_file():
-            raise SceneFormatError(folder / SCENE_FILE, f"there is no file {file!r} in the scene folder")
+        if not _is_file(place):
+            raise SceneFormatError(folder / SCENE_FILE, f"there is no file {file!r} in the scene folder{_link(place)}")
         if place in places.values():
             raise SceneFormatError(folder / SCENE_FILE, f"file {file!r} must belong to one layer or actor only")
         places[file] = place
     return places
+
+
+def _is_file(place: Path) -> bool:
+    try:
+        return place.is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
+
+
+def _link(place: Path) -> str:
+    """Say where a link leads that leads to no file."""
+    try:
+        return f" (what stands there is a link to {place.readlink()})"
+    except (OSError, ValueError):
+        return ""
+
+
+def _is_own(folder: Path, file: Path) -> bool:
+    """Whether a file, or a link, lies in the folder itself: not in one elsewhere that a link leads to."""
+    return file.parent.resolve().is_relative_to(folder)

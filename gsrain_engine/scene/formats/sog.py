@@ -91,9 +91,10 @@ def _decode(path: Path, read: ReadMember, file_bytes: int) -> Gaussians:
     with np.errstate(over="ignore", invalid="ignore"):  # infinite values are named by the check at the end
         means = _decode_means(meta, low, high)
         scales = np.exp(_looked_up(meta.log_scales, _pixels(path, read, meta.scales_file, meta.count)))
-    sh = _looked_up(meta.base, base)[:, None]
+    sh = np.empty((meta.count, 1, 3), np.float32)
     if meta.rest is not None:
-        sh = np.concatenate([sh, _decode_rest(path, read, meta.rest, meta.count, file_bytes)], axis=1)
+        sh = _decode_rest(path, read, meta.rest, meta.count, file_bytes)
+    sh[:, 0] = _looked_up(meta.base, base)
     return checked_gaussians(
         path,
         means,
@@ -138,7 +139,7 @@ def _decode_quaternions(path: Path, pixels: UInt8[np.ndarray, "n 4"]) -> Float32
 def _decode_rest(
     path: Path, read: ReadMember, rest: RestHarmonics, count: int, file_bytes: int
 ) -> Float32[np.ndarray, "n k 3"]:
-    """Harmonics above degree 0: row `label` of the palette, whose images have 64 entries a row."""
+    """Harmonics above degree 0, with room for that: row `label` of the palette, whose images have 64 entries a row."""
     data = read(rest.centroids, 2**24)
     width, height = lossless_webp_size(path, rest.centroids, data)
     widths = {_PALETTE_COLUMNS * (k - 1): degree for degree, k in enumerate(COEFFICIENTS_OF_DEGREE) if degree}
@@ -151,7 +152,9 @@ def _decode_rest(
         raise SceneFormatError(path, f"{rest.centroids} has room for {entries} entries, not {rest.palette_count}")
     coefficients = COEFFICIENTS_OF_DEGREE[degree] - 1
     check_expansion(path, count, coefficients + 1, file_bytes)
-    palette = rest.codebook[read_lossless_webp(path, rest.centroids, data)[:, :3]].reshape(entries, coefficients, 3)
+    palette = np.zeros((entries, coefficients + 1, 3), np.float32)
+    colors = read_lossless_webp(path, rest.centroids, data)[:, :3].reshape(entries, coefficients, 3)
+    palette[:, 1:] = rest.codebook[colors]
     pixels = _pixels(path, read, rest.labels, count)
     labels = pixels[:, 0] + pixels[:, 1].astype(np.int64) * 256
     last = (rest.palette_count or entries) - 1

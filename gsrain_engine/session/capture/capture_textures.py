@@ -43,7 +43,7 @@ class CaptureTextures:
         session.captures.textures = {
             wish: Texture(texture.glo, texture.width, texture.height) for wish, (_, texture) in self._pictures.items()
         }
-        session.captures.matching_texture = self._matching_texture(session.captures.matching.picture)
+        session.matching.texture = self._matching_texture(session.matching.picture)
 
     def _matching_texture(self, picture: UInt8[np.ndarray, "h w 4"] | None) -> Texture | None:
         if self._matching is not None and self._matching[0] is not picture:

@@ -3,7 +3,7 @@
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -11,13 +11,10 @@ from jaxtyping import Float64
 from gsrain_engine.datasets.capture import Capture, CaptureError, View
 from gsrain_engine.scene.scene import Scene, rotation_to_z_up
 
-from ..matching.matching_view import MatchingView
+from ..viewed_document import ViewedDocument
 from .frustums import RecordedCameras, fitting_fov_deg, frustum_length
 from .shown_points import ShownPoints, shown_points
 from .view_pictures import ViewPictures, Wish
-
-if TYPE_CHECKING:
-    from ..session import Session
 
 logger = logging.getLogger("gsrain")
 
@@ -60,13 +57,10 @@ class CaptureView:
         self.pictures: ViewPictures | None = None
         self.textures: dict[Wish, Texture] = {}
         """Pictures that are on the GPU."""
-        self.matching_texture: Texture | None = None
-        """What lies over the view where matching is shown, with its own alpha."""
         self.points_texture: Texture | None = None
         """The points as the viewport sees them now."""
         self.viewport_px = (960, 640)
         """Size of the viewport at the last frame."""
-        self.matching = MatchingView()
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="capture")
         self._opening: tuple[Path, Future[tuple[Capture, ShownPoints | None]]] | None = None
         self.in_scene_axes: bool | None = None
@@ -94,10 +88,9 @@ class CaptureView:
     @property
     def is_working(self) -> bool:
         """Whether a frame should look after what is being read."""
-        reads = self.pictures is not None and self.pictures.is_reading
-        return self.busy is not None or reads or self.matching.is_working
+        return self.busy is not None or (self.pictures is not None and self.pictures.is_reading)
 
-    def poll(self, session: "Session") -> None:
+    def poll(self, session: ViewedDocument) -> None:
         """Take in what has been read."""
         if self._opening is not None and self._opening[1].done():
             (path, reading), self._opening = self._opening, None
@@ -110,12 +103,10 @@ class CaptureView:
                 self._enter(path, capture, points)
         if self.pictures is not None:
             self.pictures.poll()
-        self.matching.poll(session)
 
     def close(self) -> None:
         """Wait for what is under way; nothing new begins."""
         self._thread.shutdown(cancel_futures=True)
-        self.matching.close()
 
     def _enter(self, path: Path, capture: Capture, points: ShownPoints | None) -> None:
         self.close_capture()
@@ -182,14 +173,14 @@ class CaptureView:
         """Length of the pyramids in the world."""
         return self.frustum_m * float(np.cbrt(np.linalg.det(self.to_world(scene)[:3, :3])))
 
-    def step(self, session: "Session", steps: int) -> None:
+    def step(self, session: ViewedDocument, steps: int) -> None:
         """Look from the view that many further on in the list, and from the first after the last."""
         listed = self.listed
         if listed:
             at = listed.index(self.chosen) if self.chosen in listed else -1 if steps > 0 else 0
             self.look_from(session, listed[(at + steps) % len(listed)])
 
-    def look_from(self, session: "Session", index: int) -> None:
+    def look_from(self, session: ViewedDocument, index: int) -> None:
         """Choose a view and look from where it was taken, at its moment; a rolled camera is looked from level."""
         if self.capture is None:
             return
@@ -205,7 +196,7 @@ class CaptureView:
             session.clock.seek(self.capture[index].time_s)
         self._snapped = index, session.navigation.camera(1, 1).world_to_camera
 
-    def stands_at(self, session: "Session") -> int | None:
+    def stands_at(self, session: ViewedDocument) -> int | None:
         """Return the view that the eye looks from; None where a person has moved on."""
         if self._snapped is None or session.view.follow_path:
             return None

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsrain_engine.drive.metrics.time_to_collision import gaps_m, times_to_collision_s
-from gsrain_engine.drive.simulation.rollout import Rollout
+from gsrain_engine.drive.rollouts.rollout import Rollout
 
 
 @dataclass(frozen=True, slots=True, eq=False)

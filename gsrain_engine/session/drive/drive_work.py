@@ -7,17 +7,17 @@ import msgspec
 import numpy as np
 from jaxtyping import UInt8
 
+from gsrain_engine.backends import open_renderer
 from gsrain_engine.drive.agents.agent import Needs
 from gsrain_engine.drive.agents.observation import Observation
 from gsrain_engine.drive.agents.registry import open_agent
 from gsrain_engine.drive.metrics.summary import measured
+from gsrain_engine.drive.rollouts.json_lines import write_rollout
 from gsrain_engine.drive.scenario.scenario import Scenario
 from gsrain_engine.drive.simulation.drive import drive
 from gsrain_engine.drive.simulation.rig_pictures import RigPictures, needed_cameras, of_width
-from gsrain_engine.drive.simulation.rollout_files import write_rollout
 from gsrain_engine.drive.simulation.simulation import Simulation
 from gsrain_engine.rain.rain import Rain
-from gsrain_engine.render.backends import open_renderer
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.scene.open_scene import open_to_draw
 from gsrain_engine.scene.progress import Progress

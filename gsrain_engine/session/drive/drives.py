@@ -3,16 +3,18 @@
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
-from gsrain_engine.drive.simulation.rollout import RolloutStep
-from gsrain_engine.drive.simulation.rollout_files import write_rollout
+from gsrain_engine.drive.rollouts.json_lines import write_rollout
+from gsrain_engine.drive.rollouts.rollout import RolloutStep
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.scene.scene import Scene
 
+from ..desk import Desk
 from ..files.saved_scene import saved_scene
+from ..files.scene_files import SceneFiles
 from ..log import told
 from .chase import Chase, ChaseMode
 from .drive_job import DriveJob, Reading
@@ -20,9 +22,6 @@ from .mosaic import Mosaic
 from .opened_rollout import OpenedRollout, open_rollout
 from .shown_rollout import ShownRollout
 from .wanted_drive import WantedDrive
-
-if TYPE_CHECKING:
-    from ..session import Session
 
 logger = logging.getLogger("gsrain")
 
@@ -33,16 +32,16 @@ _MOST = 12
 class Drives:
     """All about driving of one session. Only the main thread touches it; `poll` once a frame."""
 
-    def __init__(self, files: ThreadPoolExecutor) -> None:
-        """Read and write files in a thread."""
-        self._files = files
+    def __init__(self, scene_files: SceneFiles, chase: Chase, files: ThreadPoolExecutor) -> None:
+        """Read and write files in a thread; `chase` is the camera that may go along."""
+        self._scene_files, self._files = scene_files, files
         self.wanted = WantedDrive()
         self.opened: list[OpenedRollout] = []
         self.playing: OpenedRollout | None = None
         """The one that the viewport shows."""
         self.trouble: str | None = None
         """Why the viewport can't show it."""
-        self.chase, self.mosaic = Chase(), Mosaic()
+        self.chase, self.mosaic = chase, Mosaic()
         self.show_ego_car, self.show_boxes, self.show_plan = True, True, True
         self.rain_as_driven = True
         """Whether the viewport has the rain of the drive, else that of the scene."""
@@ -56,20 +55,23 @@ class Drives:
 
     # Driving
 
-    def newest_job(self, session: "Session") -> tuple[int, DriveJob] | None:
+    def newest_job(self, session: Desk) -> tuple[int, DriveJob] | None:
         """The last drive that was started, with its number among the jobs."""
         jobs = [(number, job) for number, job in enumerate(session.jobs) if isinstance(job, DriveJob)]
         return jobs[-1] if jobs else None
 
-    def why_not(self, session: "Session") -> str | None:
+    def why_not(self, session: Desk) -> str | None:
         """Why no drive can start now; None where it can."""
         if any(isinstance(job, DriveJob) for job in session.running_jobs):
             return "A drive goes on."
         if session.scene.ego is None:
-            return "This scene has no recorded drive, and so no route to take: open one that has, such as the street."
+            return (
+                "This scene has no recorded drive, and so no route to take: let the ego drive along a camera path "
+                "(Drive menu), or open one that has, such as the street."
+            )
         return self.wanted.why_not
 
-    def start(self, session: "Session") -> None:
+    def start(self, session: Desk) -> None:
         """Drive in the background, through the document as it is now."""
         why_not = self.why_not(session)
         if why_not is not None:
@@ -78,7 +80,7 @@ class Drives:
         wanted = self.wanted
         rains = wanted.wishes.rains(session.rain_now)
         job = DriveJob(
-            saved_scene(session), wanted.scenario, wanted.wishes, rains, self._files, session.files.known,
+            saved_scene(session), wanted.scenario, wanted.wishes, rains, self._files, self._scene_files.known,
             lambda reading: self._reading.append((wanted.scenario.name, reading)),
         )  # fmt: skip
         session.start(job)
@@ -106,7 +108,7 @@ class Drives:
         placing = [] if self._placing is None else [self._placing[1]]
         return [*[each[1] for each in self._reading], *[each[2] for each in self._writing], *placing]
 
-    def poll(self, session: "Session") -> None:
+    def poll(self, session: Desk) -> None:
         """Take in what was read, say what was written, go along with the drive; never waits."""
         for name, reading in [each for each in self._reading if each[1].done()]:
             self._reading.remove((name, reading))
@@ -123,30 +125,30 @@ class Drives:
 
     # What plays
 
-    def play(self, session: "Session", opened: OpenedRollout) -> None:
+    def play(self, session: Desk, opened: OpenedRollout) -> None:
         """Show a roll-out from its beginning, in place of the scene's own traffic; the document stays as it is.
 
         It comes in a later frame: looking for the ground of a scene takes a moment.
         """
         self._placing = opened, self._files.submit(ShownRollout, opened.rollout, session.scene)
 
-    def follow(self, session: "Session", mode: ChaseMode) -> None:
+    def follow(self, session: Desk, mode: ChaseMode) -> None:
         """Let the camera go along in a way."""
         session.view.follow_path = False
         session.following.follow("")
         self.chase.begin(mode)
 
-    def seek(self, session: "Session", time_s: float) -> None:
+    def seek(self, session: Desk, time_s: float) -> None:
         """Go to a moment of the roll-out that plays, in seconds since its scenario began."""
         shown = self._shown_in(session.scene)
         session.clock.seek(time_s + (shown.start_s if shown is not None else 0.0))
 
-    def jump(self, session: "Session", time_s: float) -> None:
+    def jump(self, session: Desk, time_s: float) -> None:
         """Stop at a moment of the roll-out that plays."""
         session.clock.playing = False
         self.seek(session, time_s)
 
-    def close(self, session: "Session", opened: OpenedRollout) -> None:
+    def close(self, session: Desk, opened: OpenedRollout) -> None:
         """Close a roll-out; the scene comes back with the last one that plays."""
         self.opened = [each for each in self.opened if each is not opened]
         if opened is self.playing:
@@ -154,7 +156,7 @@ class Drives:
             if self.opened:
                 self.play(session, self.opened[-1])
 
-    def close_all(self, session: "Session") -> None:
+    def close_all(self, session: Desk) -> None:
         """Close all of them; the scene comes back."""
         self.opened, self._placing = [], None
         if self.playing is not None:
@@ -162,7 +164,7 @@ class Drives:
 
     # What the viewport asks
 
-    def shown_in(self, session: "Session") -> ShownRollout | None:
+    def shown_in(self, session: Desk) -> ShownRollout | None:
         """The roll-out that plays, in the scene as it is; None where none plays or where it does not belong there."""
         return self._shown_in(session.scene)
 
@@ -173,7 +175,7 @@ class Drives:
             return scene
         return shown.scene(scene, with_ego=self.show_ego_car and self.chase.mode != "front camera")
 
-    def rig_scene(self, session: "Session") -> Scene:
+    def rig_scene(self, session: Desk) -> Scene:
         """What the cameras of the rig see: not the body of their own vehicle."""
         shown = self._shown_in(session.scene)
         return session.scene if shown is None else shown.scene(session.scene, with_ego=False)
@@ -193,7 +195,7 @@ class Drives:
         """From when to when the roll-out plays, in the scene's time."""
         return None if self._shown is None else self._shown.span_s
 
-    def step_now(self, session: "Session") -> RolloutStep | None:
+    def step_now(self, session: Desk) -> RolloutStep | None:
         """The step of the roll-out that plays at the present time."""
         shown = self._shown_in(session.scene)
         return None if shown is None else shown.played.step(shown.own_time_s(session.clock.time_s))
@@ -207,7 +209,7 @@ class Drives:
                 self._shown, self.trouble = None, _not_here(error)
         return self._shown
 
-    def _begin(self, session: "Session", opened: OpenedRollout, placing: "Future[ShownRollout]") -> None:
+    def _begin(self, session: Desk, opened: OpenedRollout, placing: "Future[ShownRollout]") -> None:
         if not any(each is opened for each in self.opened):
             return  # closed meanwhile
         was_playing = self.playing is not None
@@ -227,13 +229,13 @@ class Drives:
         if not was_playing:
             self.chase.begin("behind")
 
-    def _stop(self, session: "Session") -> None:
+    def _stop(self, session: Desk) -> None:
         self.playing = self.trouble = self._shown = self._rainfall = self._placing = None
         self.chase.begin("free")
         session.clock.span_s, self._kept_span = self._kept_span, None
         session.timeline.is_fitted = False
 
-    def _take(self, session: "Session", name: str, reading: Reading) -> None:
+    def _take(self, session: Desk, name: str, reading: Reading) -> None:
         try:
             found = reading.result()
         except Exception as error:  # whatever a disk or a file can do
@@ -244,7 +246,7 @@ class Drives:
         for each in found:
             logger.info("Opened a roll-out: %s: %s after %.2f s", each.title, each.rollout.end, each.duration_s)
 
-    def _written(self, session: "Session", opened: OpenedRollout, path: Path, writing: "Future[None]") -> None:
+    def _written(self, session: Desk, opened: OpenedRollout, path: Path, writing: "Future[None]") -> None:
         try:
             writing.result()
         except Exception as error:  # whatever a disk can do

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import msgspec
 
-from gsrain_engine.drive.metrics.run_setting import run_setting
 from gsrain_engine.drive.metrics.summary import DriveMetrics, measured
-from gsrain_engine.drive.simulation.rollout import Rollout
-from gsrain_engine.drive.simulation.rollout_formats import read_any_rollout
+from gsrain_engine.drive.rollouts.files import read_any_rollout
+from gsrain_engine.drive.rollouts.rollout import Rollout
+from gsrain_engine.drive.rollouts.run_setting import run_setting
 
 from .curves import Curves, curves_of
 

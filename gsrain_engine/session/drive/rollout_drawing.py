@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from gsrain_engine.drive.simulation.rollout import RolloutStep
+from gsrain_engine.drive.rollouts.rollout import RolloutStep
 from gsrain_engine.drive.traffic.road_user import RoadUser
 from gsrain_engine.scene.camera import Camera
 

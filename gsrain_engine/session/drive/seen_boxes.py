@@ -5,7 +5,7 @@ from typing import Annotated, Any, NamedTuple
 import msgspec
 from msgspec import Meta
 
-from gsrain_engine.drive.simulation.rollout import RolloutStep
+from gsrain_engine.drive.rollouts.rollout import RolloutStep
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import RigCamera
 

@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsrain_engine.drive.agents.agent import Needs
+from gsrain_engine.drive.playback.played_rollout import PlayedRollout
+from gsrain_engine.drive.rollouts.rollout import Rollout
 from gsrain_engine.drive.scenario.scenario import Scenario
-from gsrain_engine.drive.simulation.played_rollout import PlayedRollout
 from gsrain_engine.drive.simulation.rig_pictures import needed_cameras
-from gsrain_engine.drive.simulation.rollout import Rollout
 from gsrain_engine.drive.traffic.models import scaled, user_look
 from gsrain_engine.scene.drawing_order import in_drawing_order
 from gsrain_engine.scene.gaussians import Gaussians

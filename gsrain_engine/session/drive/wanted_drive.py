@@ -7,7 +7,8 @@ import msgspec
 
 from gsrain_engine.drive.agents.registry import agent_names
 from gsrain_engine.drive.scenario.saved_scenario import save_scenario
-from gsrain_engine.drive.scenario.scenario import Scenario, ScenarioUser, load_scenario, scenario_names
+from gsrain_engine.drive.scenario.scenario import Scenario, ScenarioUser
+from gsrain_engine.drive.scenario.scenario_files import load_scenario, scenario_names
 
 from ..log import told
 from .drive_wishes import DriveWishes

@@ -25,3 +25,19 @@ def set_length(scene: Scene, measured_m: float, true_m: float) -> Scene:
     factor = true_m / measured_m
     ground = None if scene.ground_m is None else scene.ground_m * factor
     return replace(scene, metres_per_unit=scene.metres_per_unit * factor, ground_m=ground)
+
+
+def set_camera_height(scene: Scene, height_m: float) -> Scene:
+    """Scale the world so that the scene's camera path is so high above its ground, at the median.
+
+    A camera on a car is where one knows how high: photogrammetry of a drive gets its metre from that. Raises
+    `ValueError` where path or ground aren't known, or the path is not above the ground.
+    """
+    if scene.path is None or scene.ground_m is None:
+        lacking = "camera path" if scene.path is None else "known height of the ground: level it first"
+        raise ValueError(f"The scene has no {lacking}.")
+    up = scene.scene_to_world[2]
+    above_m = float(np.median(scene.path.positions @ up[:3] + up[3])) - scene.ground_m
+    if not above_m > 0:
+        raise ValueError(f"The camera path is {-above_m:.3g} m below the ground: which way is up must be wrong.")
+    return set_length(scene, above_m, height_m)

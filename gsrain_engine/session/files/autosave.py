@@ -12,6 +12,7 @@ from typing import NamedTuple
 import msgspec
 
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.scene.errors import sentence_of
 from gsrain_engine.scene.file_lock import FileLock
 from gsrain_engine.scene.formats.known_files import KnownFiles
 from gsrain_engine.scene.formats.scene_folder import SCENE_FILE, write_scene_folder
@@ -23,6 +24,8 @@ from .places import state_folder
 logger = logging.getLogger("gsrain")
 
 _SCENE, _ABOUT = "scene", "autosave.json"
+_LONGEST_NAME = 200
+"""Bytes of a scene folder's name that go into that of its autosave; disks take 255."""
 
 
 class About(msgspec.Struct, frozen=True, kw_only=True):
@@ -31,8 +34,16 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     home: str | None = None
     """The scene folder that the document came from."""
+    home_bytes: bytes | None = None
+    """The same where its name is no Unicode."""
     stamp: DiskStamp | None = None
     """State of that folder when the document came from it."""
+
+    @property
+    def folder(self) -> Path | None:
+        """The scene folder that the document came from."""
+        home = self.home_bytes or self.home
+        return None if home is None else Path(os.fsdecode(home))
 
 
 class Autosaved(msgspec.Struct, frozen=True):
@@ -94,7 +105,7 @@ class Autosave:
         try:
             about = msgspec.json.decode((place / _ABOUT).read_bytes(), type=About)
             return Autosaved(place, about, (place / _SCENE / SCENE_FILE).stat().st_mtime)
-        except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+        except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return None
 
     def abandoned(self, homes: Iterable[Path]) -> list[Autosaved]:
@@ -113,21 +124,53 @@ class Autosave:
             SceneFormatError: When the document could not be read again.
             OSError: When it can be written nowhere.
         """
-        about = About(name=scene.name, home=str(self._home) if self._home is not None else None, stamp=stamp)
-        place = self._place
-        if place is None and self._home is not None and beside(self._home) in self._locks:
-            here = beside(self._home)
-            # What a person has put off to recover later stays.
-            place = here if not (here / _ABOUT).exists() and os.access(here.parent, os.W_OK) else None
-        if place is None:
-            place = _unsaved() / f"{os.getpid()}-{secrets.token_hex(4)}"
-            self._hold(place)
+        about = _about(scene.name, self._home, stamp)
+        place = self._place or self._place_beside_home() or self._new_place()
+        try:
+            self._write_at(place, about, scene, known)
+        except OSError as error:
+            if place.parent == _unsaved():
+                raise
+            # Its disk is full, or takes no file any more; another one may.
+            logger.warning("The autosave can't be in %s: %s", place.parent, sentence_of(error))
+            self._write_elsewhere(place, about, scene, known)
+
+    def _place_beside_home(self) -> Path | None:
+        """Where it may go beside its home; None where another process does, or where something is to be recovered."""
+        if self._home is None or beside(self._home) not in self._locks:
+            return None
+        here = beside(self._home)
+        if self.found(here) is not None or not os.access(here.parent, os.W_OK):
+            return None
+        if here.exists():  # a process was killed before there was anything in it
+            _remove(here)
+        return here
+
+    def _new_place(self) -> Path:
+        place = _unsaved() / f"{os.getpid()}-{secrets.token_hex(4)}"
+        self._hold(place)
+        return place
+
+    def _write_elsewhere(self, before: Path, about: About, scene: Scene, known: KnownFiles) -> None:
+        """Write among those that have no home; what was kept before stays until then, and for good where that fails."""
+        place, self._about = self._new_place(), None
+        try:
+            self._write_at(place, about, scene, known)
+        except BaseException:
+            _remove(place)
+            if place in self._locks:
+                self._locks.pop(place).release()
+            self._place, self._about = before if (before / _ABOUT).exists() else None, None
+            raise
+        _remove(before)
+
+    def _write_at(self, place: Path, about: About, scene: Scene, known: KnownFiles) -> None:
         place.mkdir(parents=True, exist_ok=True)
-        self._place = place
         if about != self._about:
             with whole_file(place / _ABOUT) as file:
                 file.write_bytes(msgspec.json.encode(about))
             self._about = about
+        self._place = place
         write_scene_folder(scene, place / _SCENE, known, linking=True, in_drawing_order=True)
 
     def remove(self) -> None:
@@ -161,7 +204,20 @@ class Autosave:
 
 def beside(home: Path) -> Path:
     """Where the autosave of a scene folder goes."""
-    return home.with_name(f".{home.name}.autosave")
+    name = os.fsencode(home.name)
+    if len(name) > _LONGEST_NAME:
+        name = name[:_LONGEST_NAME] + b"." + hashlib.blake2b(name, digest_size=6).hexdigest().encode()
+    return home.with_name(f".{os.fsdecode(name)}.autosave")
+
+
+def _about(name: str, home: Path | None, stamp: DiskStamp | None) -> About:
+    if home is None:
+        return About(name=name, stamp=stamp)
+    in_bytes = os.fsencode(home)
+    try:
+        return About(name=name, home=in_bytes.decode(), stamp=stamp)
+    except UnicodeDecodeError:
+        return About(name=name, home_bytes=in_bytes, stamp=stamp)
 
 
 def _remove(place: Path) -> None:

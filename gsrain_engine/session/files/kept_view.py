@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -11,9 +11,7 @@ from msgspec import Meta
 from gsrain_engine.render.look import Look
 
 from ..view.navigation import FASTEST_M_S, SLOWEST_M_S, Navigation
-
-if TYPE_CHECKING:
-    from ..session import Session
+from ..viewed_document import ViewedDocument
 
 logger = logging.getLogger("gsrain")
 
@@ -37,7 +35,7 @@ class KeptView(msgspec.Struct, frozen=True, kw_only=True):
     look: Look = "splats"
 
 
-def kept_view(session: "Session") -> dict[str, Any]:
+def kept_view(session: ViewedDocument) -> dict[str, Any]:
     """Plain values of what a session looks at now."""
     eye, view = session.navigation, session.view
     x, y, z = eye.position.tolist()
@@ -56,7 +54,7 @@ def kept_view(session: "Session") -> dict[str, Any]:
     return msgspec.to_builtins(kept)
 
 
-def look_again(session: "Session", values: Mapping[str, Any]) -> None:
+def look_again(session: ViewedDocument, values: Mapping[str, Any]) -> None:
     """Look from where a scene was looked at when it was saved; values that can't be used are told of and left."""
     try:
         kept = msgspec.convert(values, KeptView)

@@ -36,5 +36,5 @@ def read_kept(autosaved: Autosaved) -> Opened:
     """Read what an autosave has kept; raises what `open_to_draw` raises."""
     known, about = KnownFiles(), autosaved.about
     scene = open_to_draw(str(autosaved.scene), known)
-    home = Path(about.home) if about.home is not None else None
+    home = about.folder
     return Opened(scene, str(home or ""), home, about.stamp, known, autosaved)

@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from gsrain_engine.explained_errors import converted
+from gsrain_engine.plain_values import read_whole, yaml_values
 from gsrain_engine.scene.atomic_files import whole_file
 from gsrain_engine.scene.file_lock import locked
 
@@ -45,13 +47,13 @@ def load_preferences() -> tuple[Preferences, str | None]:
     """Read the preferences, or defaults where there are none; and one sentence when the file can't be used."""
     path = preferences_file()
     try:
-        return msgspec.yaml.decode(path.read_bytes(), type=Preferences), None
+        return converted(yaml_values(read_whole(path)), Preferences), None
     except FileNotFoundError:
         return Preferences(), None
     except OSError as error:
         return Preferences(), f"{path}: the preferences can't be read: {error.strerror or error}"
-    except Exception as error:  # whatever a YAML reader makes of what a person has typed
-        return Preferences(), f"{path}: the preferences can't be used: {' '.join(str(error).split())}"
+    except ValueError as error:
+        return Preferences(), f"{path}: the preferences can't be used: {error}"
 
 
 def set_aside() -> Path | None:

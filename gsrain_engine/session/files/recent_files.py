@@ -25,7 +25,7 @@ def recent_files() -> list[Path]:
         return [Path(each) for each in msgspec.json.decode(_file().read_bytes(), type=_Recent).paths[:MOST]]
     except FileNotFoundError:
         return []
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         logger.warning("%s: the list of recent scenes can't be read: %s", _file(), error)
         return []
 

@@ -5,10 +5,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import datetime
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from gsrain_engine.printable import printable
 from gsrain_engine.scene.formats.known_files import KnownFiles
 
+from ..desk import Desk
 from ..history import Document
 from ..log import told
 from ..question import Answer, Question, nothing
@@ -16,15 +18,19 @@ from .autosave import Autosave, Autosaved, Entered
 from .disk_stamp import DiskStamp
 from .saved_scene import saved_scene
 
-if TYPE_CHECKING:
-    from ..session import Session
-
 
 class Recovery:
     """The autosave of a session: written in `thread`, everything else on the main thread."""
 
-    def __init__(self, session: "Session", thread: ThreadPoolExecutor) -> None:
-        self._session = session
+    def __init__(
+        self,
+        session: Desk,
+        recover: Callable[[Autosaved], None],
+        close_scene: Callable[[], None],
+        thread: ThreadPoolExecutor,
+    ) -> None:
+        """`recover` goes on with what was kept, `close_scene` goes to an empty window."""
+        self._session, self._recover, self._close_scene = session, recover, close_scene
         self._thread = thread
         self.now: Callable[[], float] = monotonic
         """Seconds."""
@@ -114,8 +120,10 @@ class Recovery:
                 f"{self._home} is open in another window of the program. "
                 "The one that saves last overwrites what the other has saved."
             )
-            away = Answer("Close it here", self._session.files.close_scene, "Go to an empty window.")
-            self._session.ask(Question("Open twice", text, (Answer("Go on", nothing, "Keep both open."), away)))
+            away = Answer("Close it here", self._close_scene, "Go to an empty window.")
+            self._session.questions.ask(
+                Question("Open twice", text, (Answer("Go on", nothing, "Keep both open."), away))
+            )
         elif entered.found is not None and entered.found.place not in self._put_off:
             self._offer([entered.found])
 
@@ -132,14 +140,15 @@ class Recovery:
             self._offer(others)
 
         when, about = datetime.fromtimestamp(first.saved_at), first.about
-        where = f"Scene folder: {about.home}" if about.home is not None else "It was never saved to a place of its own."
+        home = about.folder
+        where = f"Scene folder: {printable(home)}" if home is not None else "It was never saved to a place of its own."
         text = (
             f"The program ended before the last changes of {about.name} were saved.\n"
             f"They were kept on {when:%A %d %B %Y at %H:%M:%S}.\n\n{where}"
         )
         answers = (
-            Answer("Recover", lambda: self._session.files.recover(first), "Go on with them; saving is up to you."),
+            Answer("Recover", lambda: self._recover(first), "Go on with them; saving is up to you."),
             Answer("Discard", drop, "Remove them; the scene stays as it was last saved."),
             Answer("Later", lambda: self._offer(others), "Leave them; the next start asks again."),
         )
-        self._session.ask(Question("Recover unsaved changes", text, answers))
+        self._session.questions.ask(Question("Recover unsaved changes", text, answers))

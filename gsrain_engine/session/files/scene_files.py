@@ -5,7 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.formats.known_files import KnownFiles
@@ -13,6 +13,7 @@ from gsrain_engine.scene.formats.scene_files import names_scene_folder
 from gsrain_engine.scene.open_scene import is_built_in, scene_folder_of
 from gsrain_engine.scene.scene import Scene
 
+from ..desk import Desk
 from ..edits.importing import import_scene
 from ..history import Document
 from ..log import told
@@ -25,17 +26,15 @@ from .recent_files import add_recent_file, forget_recent_file, recent_files
 from .recovery import Recovery
 from .saved_scene import saved_scene
 
-if TYPE_CHECKING:
-    from ..session import Session
-
 logger = logging.getLogger("gsrain")
 
 
 class SceneFiles:
     """The files of one session. Reading and writing happens in `thread`, everything else on the main thread."""
 
-    def __init__(self, session: "Session", thread: ThreadPoolExecutor) -> None:
-        self._session = session
+    def __init__(self, session: Desk, enter: Callable[[Opened], None], thread: ThreadPoolExecutor) -> None:
+        """`enter` goes to another document."""
+        self._session, self._enter = session, enter
         self._thread = thread
         self.source: str | None = None
         """What was opened last, as it was named."""
@@ -45,7 +44,7 @@ class SceneFiles:
         """Scenes that were used last, the latest first."""
         self.place_wanted: Callable[[Path], None] | None = None
         """Set while somebody has to be asked where to save; called with the answer."""
-        self.recovery = Recovery(session, thread)
+        self.recovery = Recovery(session, self.recover, self.close_scene, thread)
         self._known = KnownFiles()
         self._stamp: DiskStamp | None = None
         self._saved: Document = session.history.present
@@ -118,14 +117,14 @@ class SceneFiles:
         title, text = "Revert", f"All changes of {self._session.scene.name} since it was last saved are lost."
         back = Answer("Revert", lambda: self.open_now(source), "Read the scene again.")
         if self.has_changes:
-            self._session.ask(Question(title, text, (back, _CANCEL)))
+            self._session.questions.ask(Question(title, text, (back, _CANCEL)))
         else:
             self.open_now(source)
 
     def close_scene(self) -> None:
         """Go to an empty scene."""
         empty = Opened(Scene("no scene"), "", None, None, KnownFiles())
-        self.when_safe("close it", lambda: self._session.enter(empty))
+        self.when_safe("close it", lambda: self._enter(empty))
 
     def when_safe(self, what: str, act: Callable[[], None]) -> None:
         """Do what takes the place of the document or ends the program; with unsaved changes, ask first."""
@@ -138,7 +137,9 @@ class SceneFiles:
             Answer("Don't save", act, f"Lose the changes and {what}."),
             _CANCEL,
         )
-        self._session.ask(Question("Unsaved changes", f"Save the changes of {name} before you {what}?", answers))
+        self._session.questions.ask(
+            Question("Unsaved changes", f"Save the changes of {name} before you {what}?", answers)
+        )
 
     def enter(self, opened: Opened, document: Document) -> None:
         """Take note that the session went to a document that was opened."""
@@ -181,7 +182,7 @@ class SceneFiles:
             _CANCEL,
         )
         text = f"{home} was changed by another program or window since it was opened or saved here."
-        self._session.ask(Question("Changed on disk", text, answers))
+        self._session.questions.ask(Question("Changed on disk", text, answers))
 
     def save_as(self, path: Path, act: Callable[[], None] = nothing) -> None:
         """Save to another place; where another scene folder stands there, ask first."""
@@ -191,7 +192,7 @@ class SceneFiles:
             return
         replacing = Answer("Replace", lambda: self.save_to(path, act), "The scene that stands there now is lost.")
         text = f"There is another scene in {other}. Replace it?"
-        self._session.ask(Question("Replace a scene", text, (replacing, _CANCEL)))
+        self._session.questions.ask(Question("Replace a scene", text, (replacing, _CANCEL)))
 
     def give_up(self) -> None:
         """Take it that a person does not want the changes: nothing is kept of them."""

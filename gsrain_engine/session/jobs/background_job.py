@@ -1,13 +1,11 @@
 """What the Jobs panel shows of any work that goes on behind the window."""
 
-from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from gsrain_engine.scene.progress import Progress
 
+from ..viewed_document import ViewedDocument
 from .worker import JobState
-
-if TYPE_CHECKING:
-    from ..session import Session
 
 
 @runtime_checkable
@@ -21,7 +19,7 @@ class BackgroundJob(Protocol):
     """What went wrong, as one line; `details` has the rest."""
     details: str | None
 
-    def poll(self, session: "Session") -> None:
+    def poll(self, session: ViewedDocument) -> None:
         """Go on, without waiting; once a frame while it runs. Whoever finishes brings the result into the session."""
         ...
 

@@ -3,18 +3,16 @@
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from gsrain_engine.scene.errors import sentence_of
 from gsrain_engine.scene.formats.known_files import KnownFiles
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
+from ..viewed_document import ViewedDocument
 from .job_folder import JobFolder
 from .scene_copy import write_copy
 from .worker import Job, JobState
-
-if TYPE_CHECKING:
-    from ..session import Session
 
 
 class CopiedSceneJob:
@@ -37,7 +35,7 @@ class CopiedSceneJob:
         self._copying: Future[Path] | None = self._folder.do(lambda folder: write_copy(scene, folder, known))
         self._worker: Job | None = None
 
-    def poll(self, session: "Session") -> None:
+    def poll(self, session: ViewedDocument) -> None:
         """Go on to the next stage when the present one is through; never waits."""
         if self.state != "running":
             return
@@ -61,7 +59,7 @@ class CopiedSceneJob:
         raise NotImplementedError
 
     def _said(self, error: Exception) -> str:
-        return str(error)
+        return sentence_of(error)
 
     def _follow(self, worker: Job) -> None:
         worker.poll()

@@ -3,17 +3,14 @@
 import threading
 import traceback
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING
 
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
 from ..edits.floaters import FloaterRules, FloaterSearch, select_floaters
 from ..edits.marking import selected_count
+from ..viewed_document import ViewedDocument
 from .worker import JobState
-
-if TYPE_CHECKING:
-    from ..session import Session
 
 TITLE = "Find floaters"
 
@@ -36,7 +33,7 @@ class FloaterJob:
         self._running: Future[None] = self._thread.submit(self._run)
         self._thread.shutdown(wait=False)
 
-    def poll(self, session: "Session") -> None:
+    def poll(self, session: ViewedDocument) -> None:
         """Select what was found once the search is through; never waits."""
         if self.state != "running" or not self._running.done():
             return

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.other_pictures import with_images
-from gsrain_engine.evaluate.report.run_report import write_report
+from gsrain_engine.evaluate.report.report_file import write_report
 from gsrain_engine.reconstruct.recoloring.recolored_file import read_recolored, write_recolored
 from gsrain_engine.reconstruct.recoloring.recolored_scene import with_colors
 from gsrain_engine.reconstruct.recoloring.run import RecolorOptions, recolor_to_capture

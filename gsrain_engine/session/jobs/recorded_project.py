@@ -5,10 +5,10 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from gsrain_engine.backends import open_renderer
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.rain.saved_rain import rain_of, weather_of
-from gsrain_engine.render.backends import open_renderer
 from gsrain_engine.render.record import record
 from gsrain_engine.render.recorded_views import frame_numbers, sequences_of
 from gsrain_engine.render.recording import DEFAULT_SIZE_PX, Recording

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -18,13 +18,12 @@ from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.rotations import quaternions_from_matrices
 from gsrain_engine.scene.scene import Scene
 
+from ..desk import Desk
 from ..files.saved_scene import saved_scene
+from ..files.scene_files import SceneFiles
 from ..log import told
 from ..question import Answer, Question, nothing
 from .recording_job import RecordingJob
-
-if TYPE_CHECKING:
-    from ..session import Session
 
 _LABEL_DRAWINGS = 1 / 3
 """Pictures a layer or actor that labels take: three fit into the colours of one."""
@@ -45,8 +44,8 @@ class Extent(NamedTuple):
 class Recorder:
     """The recording of one session. Only the main thread touches it."""
 
-    def __init__(self, session: "Session", files: ThreadPoolExecutor) -> None:
-        self._session, self._files = session, files
+    def __init__(self, session: Desk, scene_files: SceneFiles, files: ThreadPoolExecutor) -> None:
+        self._session, self._scene_files, self._files = session, scene_files, files
         self._wanted = Recording(output="", size_px=(960, 640), codec="h264")
 
     @property
@@ -122,16 +121,16 @@ class Recorder:
         listed = ", ".join(path.name for path in there[:3]) + (f" and {len(there) - 3} more" if len(there) > 3 else "")
         yes = Answer("Replace", lambda: self._start(recording, scene), "Write over what is there.")
         no = Answer("Cancel", nothing, "Leave it as it is.")
-        self._session.ask(Question("Replace?", f"{listed} {are} there already.", (yes, no)))
+        self._session.questions.ask(Question("Replace?", f"{listed} {are} there already.", (yes, no)))
 
     def _start(self, recording: Recording, scene: Scene) -> None:
-        session, home = self._session, self._session.files.home
+        session, home = self._session, self._scene_files.home
         notes = []
         if scene.path is session.scene.path:
-            saved = " once the scene is saved" if home is None or session.has_changes else ""
+            saved = " once the scene is saved" if home is None or self._scene_files.has_changes else ""
             command = recording_command(recording, str(home or "PROJECT"))
             notes = [f"The same from the command line{saved}: {command}"]
-        session.start(RecordingJob(scene, recording, self._files, session.files.known, notes))
+        session.start(RecordingJob(scene, recording, self._files, self._scene_files.known, notes))
 
     def _sequences(self, recording: Recording) -> dict[str, FrameSequence]:
         session = self._session

@@ -10,17 +10,16 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
+from gsrain_engine.scene.errors import sentence_of
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
 from ..staged_scene import StagedScene
+from ..viewed_document import ViewedDocument
 from .job_folder import JobFolder
 from .worker import Job, JobState, Work
-
-if TYPE_CHECKING:
-    from ..session import Session
 
 logger = logging.getLogger("gsrain")
 
@@ -87,7 +86,7 @@ class SceneJob:
         self._has_shown = False
         """Whether a snapshot has been on its way into the document."""
 
-    def poll(self, session: "Session") -> None:
+    def poll(self, session: ViewedDocument) -> None:
         """Go on to the next stage when the present one is through; never waits. The result is staged at the end."""
         if self.state != "running":
             return
@@ -103,7 +102,7 @@ class SceneJob:
                 logger.info("%s: done%s", self.title, "" if self.report is None else f"; report: {self.report}")
                 self._end("finished")
         except Exception as error:  # whatever a disk or a worker can do: the window lives on
-            self.error = str(error)
+            self.error = sentence_of(error)
             self._end("failed")
 
     def cancel(self) -> None:
@@ -111,7 +110,7 @@ class SceneJob:
         if self.state == "running":
             self._end("cancelled")
 
-    def _follow(self, worker: Job, session: "Session") -> None:
+    def _follow(self, worker: Job, session: ViewedDocument) -> None:
         worker.poll()
         self.progress = worker.progress
         if worker.state == "failed":
@@ -124,7 +123,7 @@ class SceneJob:
         else:
             self._follow_snapshots(session)
 
-    def _follow_snapshots(self, session: "Session") -> None:
+    def _follow_snapshots(self, session: ViewedDocument) -> None:
         if self._snapshot is not None and self._snapshot.done():
             scene, self._snapshot = self._snapshot.result(), None
             if scene is not None and session.staged is None:
@@ -133,7 +132,7 @@ class SceneJob:
             self._looked_at = self.progress.message
             self._snapshot = self._folder.do(self.task.snapshot)
 
-    def _stage(self, scene: Scene, session: "Session", *, is_finished: bool) -> None:
+    def _stage(self, scene: Scene, session: ViewedDocument, *, is_finished: bool) -> None:
         if not session.is_opening:  # else it would take the place of the scene that comes
             goes_on = self._has_shown and not is_finished
             self._has_shown = True

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from gsrain_engine.scene.progress import Progress
 
-from .torch_extra import require_torch
+from .torch_extra import HOW_TO_GET_DIFFUSION, require_torch
 
 if TYPE_CHECKING:
     from gsrain_engine.appearance.finetuning.task import TrainingResult, TrainingTask
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def train_transfer(task: "TrainingTask") -> "Generator[Progress, None, TrainingResult]":
     """Fine-tune as a task says. Yields and raises as `finetune` does, and ValueError where torch is missing."""
-    require_torch("training the transfer")
+    require_torch("training the transfer", HOW_TO_GET_DIFFUSION)
     from gsrain_engine.appearance.finetuning.finetune import finetune
     from gsrain_engine.appearance.finetuning.start import chosen_device
     from gsrain_engine.evaluate.lpips_loss import lpips_loss

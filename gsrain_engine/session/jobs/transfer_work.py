@@ -15,7 +15,7 @@ from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
 from gsrain_engine.appearance.views.placed_camera import PlacedCamera
 from gsrain_engine.appearance.views.scene_views import scene_views
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.evaluate.report.run_report import write_report
+from gsrain_engine.evaluate.report.report_file import write_report
 from gsrain_engine.reconstruct.rainy_scene import QUICK, rainy_scene
 from gsrain_engine.reconstruct.recoloring.recolored_file import write_recolored
 from gsrain_engine.reconstruct.recoloring.settings import RecolorSettings
@@ -24,7 +24,7 @@ from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
 from .rainy_report import KeptComparisons
-from .torch_extra import require_torch
+from .torch_extra import HOW_TO_GET_DIFFUSION, require_torch
 
 _READ, _RENDERED = 0.2, 0.6
 """Shares of a preview's time."""
@@ -78,5 +78,5 @@ def _opened(method: str, settings: TransferSettings, scene: Scene) -> Transfer:
 
     row = method_of(method)
     if row.needs_torch:
-        require_torch(row.title)
+        require_torch(row.title, HOW_TO_GET_DIFFUSION)
     return open_transfer(method, settings, SceneSurroundings(scene))

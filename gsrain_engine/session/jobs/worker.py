@@ -5,17 +5,22 @@ dies is a failed job, nothing more. Workers yield the processor to the window.
 """
 
 import multiprocessing
+import os
 import signal
+import threading
 import traceback
 from collections.abc import Callable, Iterator
-from multiprocessing.connection import Connection
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
 from typing import Any, Literal
 
 import psutil
 
+from gsrain_engine.scene.errors import sentence_of
 from gsrain_engine.scene.progress import Progress
 
 from .shared_picture import SharedPicture
+from .silence import Silence
 
 JobState = Literal["running", "finished", "failed", "cancelled"]
 Work = Callable[..., Iterator[Progress]]
@@ -51,6 +56,8 @@ class Job:
             raise
         finally:
             theirs.close()
+        self._silence = Silence(self._process.pid or 0)
+        self._said = self.progress.message
 
     @property
     def waitable(self) -> Connection:
@@ -70,11 +77,16 @@ class Job:
                 self._fail(_death(self._process.exitcode), None)
         if (pixels := self._picture.take()) is not None:
             self.progress = self.progress._replace(preview=pixels)
+        if self.state == "running":
+            self._tell_silence()
 
     def cancel(self) -> None:
         """Tell the worker to stop, without waiting for it; whatever it had not finished is dropped."""
         if self.state == "running":
             self._process.terminate()
+            if psutil.POSIX and self._process.pid is not None:
+                with suppress(ProcessLookupError):  # one that somebody has stopped hears of its end only so
+                    os.kill(self._process.pid, signal.SIGCONT)
             self.state = "cancelled"
 
     def close(self) -> None:
@@ -87,13 +99,21 @@ class Job:
         self._picture.close()
 
     def _take(self, message: Any) -> None:
+        self._silence.heard()
         if isinstance(message, Progress):
+            self._said = message.message
             self.progress = message._replace(preview=self.progress.preview)
         elif message is None:
             self.progress = Progress(1.0, "Done", self.progress.preview)
             self.state = "finished"
         else:
             self._fail(*message)
+
+    def _tell_silence(self) -> None:
+        words = self._silence.words
+        message = f"{self._said} ({words})" if words else self._said
+        if message != self.progress.message:
+            self.progress = self.progress._replace(message=message)
 
     def _fail(self, error: str, details: str | None) -> None:
         self.state, self.error, self.details = "failed", error, details
@@ -103,13 +123,23 @@ def _death(exit_code: int | None) -> str:
     """Say what ended a process that had nothing to say itself."""
     if exit_code is not None and exit_code == -getattr(signal, "SIGKILL", 9):
         return f"the worker was killed: by hand, or because {_OUT_OF_MEMORY}"
+    if exit_code is not None and exit_code < 0:
+        return f"the worker died of {_signal_name(-exit_code)}"
     return f"the worker died (exit code {exit_code})"
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
 
 
 def _run(messages: Connection, picture_name: str, work: Work, arguments: tuple[Any, ...]) -> None:
     """Do the work in the new process: Progress for each step, None at the end, (line, traceback) when it fails."""
     if psutil.POSIX:
         psutil.Process().nice(_NICENESS)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     picture = SharedPicture(picture_name)
     try:
         for progress in work(*arguments):
@@ -126,9 +156,17 @@ def _run(messages: Connection, picture_name: str, work: Work, arguments: tuple[A
         messages.close()
 
 
+def _end_with_parent() -> None:
+    """End when the window is gone, killed perhaps, as if it had asked for that: nobody would take what comes out."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
 def _sentence(error: Exception) -> str:
     """What went wrong, for a person: torch tells of missing memory as a RuntimeError."""
     said = str(error) or type(error).__name__
     if isinstance(error, MemoryError) or "out of memory" in said or "can't allocate memory" in said:
         return f"{_OUT_OF_MEMORY} ({said})"
-    return said if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {error}"
+    return sentence_of(error) if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {error}"

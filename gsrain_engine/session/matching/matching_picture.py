@@ -8,7 +8,7 @@ from gsrain_engine.appearance.matching.correspondence import Outcome, warped
 
 from .matched_views import MatchedViews
 from .matching_colors import COLORS
-from .matching_view import Mode
+from .mode import Mode
 
 _VEIL: dict[Outcome, float] = {Outcome.OUTSIDE: 0.65, Outcome.UNKNOWN: 0.6, Outcome.MATCHED: 0.0}
 _OTHER_VEIL = 0.5

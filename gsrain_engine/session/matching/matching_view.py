@@ -2,7 +2,7 @@
 
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, UInt8
@@ -12,18 +12,17 @@ from gsrain_engine.datasets.capture import Capture, CaptureError
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Scene
 
+from ..capture.capture_view import Texture
+from ..desk import Desk
+from .mode import Mode
 from .other_view import WHY_NONE, Against, neighbour
 
 if TYPE_CHECKING:
     from gsrain_engine.appearance.views.placed_camera import PlacedCamera
 
-    from ..session import Session
     from .matched_views import MatchableViews, MatchedViews
 
 logger = logging.getLogger("gsrain")
-
-Mode = Literal["picture", "difference", "pixels"]
-MODES: tuple[Mode, ...] = get_args(Mode)
 
 
 class _Wish(NamedTuple):
@@ -63,6 +62,8 @@ class MatchingView:
         self.shown: Shown | None = None
         self.problem: str | None = None
         """Why nothing is shown, in a sentence."""
+        self.texture: Texture | None = None
+        """What lies over the view on the GPU, with its own alpha."""
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="matching")
         self._working: tuple[_Wish, Camera, Future[Shown]] | None = None
         self._last: _Wish | None = None
@@ -86,7 +87,7 @@ class MatchingView:
             self._picture = self.shown, self.mode, matching_picture(self.shown.matched, self.mode)
         return self._picture[2]
 
-    def poll(self, session: "Session") -> None:
+    def poll(self, session: Desk) -> None:
         """Take in what has been matched, and match what is looked at now. Once a frame."""
         if self._working is not None and self._working[2].done():
             self._take(*self._working)
@@ -107,7 +108,7 @@ class MatchingView:
         """Wait for what is under way; nothing new begins."""
         self._thread.shutdown(cancel_futures=True)
 
-    def _wish(self, session: "Session") -> _Wish | str:
+    def _wish(self, session: Desk) -> _Wish | str:
         """What is looked at now, or why it can't be matched."""
         captures = session.captures
         capture = captures.capture
@@ -122,7 +123,7 @@ class MatchingView:
         pose = shot.camera.world_to_camera.tobytes() + np.array([shot.camera.fy, *captures.viewport_px]).tobytes()
         return _Wish(capture, scene, None, captures.chosen, pose, shot.time_s if session.scene.actors else 0.0)
 
-    def _begin(self, session: "Session", wish: _Wish) -> None:
+    def _begin(self, session: Desk, wish: _Wish) -> None:
         from gsrain_engine.appearance.views.placed_camera import PlacedCamera
 
         if wish.of is None:

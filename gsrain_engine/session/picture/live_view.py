@@ -55,6 +55,7 @@ class LiveView:
 
     def __init__(self, context: moderngl.Context, session: Session, backend: WindowBackend = "auto") -> None:
         self.session = session
+        self._context = context
         self._opengl = SplatRenderer(context)
         on_cpu = is_software(context) if backend == "auto" else backend == "cpu"
         self._cpu = CpuPicture(context) if on_cpu else None
@@ -62,7 +63,7 @@ class LiveView:
         if self._cpu is not None and has_kernels():
             self._cpu.compile()
             self._waits_until = time.perf_counter() + _LOADING_S
-        self._on_cpu = False
+        self._on_cpu = self._gpu_is_full = self._is_empty = False
         self._sides = (_SidePicture(context), _SidePicture(context))
         self._sky = SkyWatch()
         self._moment: Shot | None = None
@@ -81,11 +82,20 @@ class LiveView:
         """Draw the present moment for a viewport of a size in pixels: a texture for each of the session's sides.
 
         Each shows the whole picture, its first row on top. When nothing has changed since the last call, the last
-        textures come back.
+        textures come back. Where the scene is too much for the graphics card, the processor goes on.
         """
+        try:
+            return self._draw(width, height)
+        except MemoryError as error:
+            if self._on_cpu or self._gpu_is_full:
+                raise
+            self._leave_gpu(error)
+            return self.last_textures
+
+    def _draw(self, width: int, height: int) -> list[moderngl.Texture]:
         session = self.session
         if self._cpu is not None and self._cpu.has_failed:
-            self._cpu = None
+            self._cpu, self._gpu_is_full = None, False
         self._on_cpu = self._cpu is not None and self._cpu.is_ready  # once a frame: it may become so at any moment
         if session.view.harmonics != self._opengl.arrays.harmonics:
             self._opengl.arrays.keep_harmonics_as(session.view.harmonics)
@@ -94,6 +104,9 @@ class LiveView:
         self._is_uploading, self._upload_until = False, time.perf_counter() + _UPLOAD_S
         self._prepare_staged()
         sides = session.sides
+        for shown in self._sides[: -len(sides)]:
+            shown.forget()
+        self._let_go_of_closed_scene()
         detail = self._choose_detail(session.shot(width, height))
         if session.screenshot is not None:
             detail = EXACT
@@ -150,7 +163,8 @@ class LiveView:
     @property
     def _can_draw(self) -> bool:
         is_final = self._cpu is None or self._on_cpu
-        return is_final or (not self._waits and self.session.scene.gaussian_count <= _STAND_IN_GAUSSIANS)
+        stands_in = not (self._waits or self._gpu_is_full)
+        return is_final or (stands_in and self.session.scene.gaussian_count <= _STAND_IN_GAUSSIANS)
 
     @property
     def _waits(self) -> bool:
@@ -160,6 +174,28 @@ class LiveView:
     @property
     def _renderer(self) -> Renderer:
         return self._cpu.renderer if self._cpu is not None and self._on_cpu else self._opengl
+
+    def _let_go_of_closed_scene(self) -> None:
+        """Free what an empty scene has left here of the one before, once."""
+        session = self.session
+        is_empty = not session.scene.members and session.staged is None
+        if is_empty and not self._is_empty:
+            self._sky.forget()
+            self._thinnings.clear()
+            self._thinned = session.scene
+            self._upload.give_up()
+            self._opengl.arrays.release_everything()
+        self._is_empty = is_empty
+
+    def _leave_gpu(self, error: MemoryError) -> None:
+        """Let the processor draw from now on, and free what the scene has on the graphics card."""
+        self._gpu_is_full = True
+        self._cpu = self._cpu or CpuPicture(self._context)
+        self._cpu.compile()
+        self._upload.give_up()
+        self._opengl.arrays.release_everything()
+        self.session.problem = f"{error}: the processor draws from now on"
+        logger.warning("%s", self.session.problem)
 
     def _choose_detail(self, now: Shot) -> Detail:
         """Ask the budget, which wants to know whether the camera has moved."""
@@ -279,7 +315,7 @@ class LiveView:
                 thinning.growth(member.gaussians)
                 yield
         too_large = self._cpu is not None and scene.gaussian_count > _STAND_IN_GAUSSIANS
-        if not (self._on_cpu or self._waits or too_large):
+        if not (self._on_cpu or self._waits or self._gpu_is_full or too_large):
             while not self._upload.go_on(scene, self._upload_until):
                 yield
 
@@ -312,6 +348,10 @@ class _SidePicture:
         self.texture = context.texture((1, 1), 4, np.zeros(4, np.uint8))
         self.state: Hashable = None
         self.scene: Scene | None = None
+
+    def forget(self) -> None:
+        """Hold no scene: nobody looks at it."""
+        self.state = self.scene = None
 
 
 class _Seen(NamedTuple):

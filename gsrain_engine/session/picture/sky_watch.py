@@ -37,7 +37,7 @@ class SkyWatch:
 
     def forget(self) -> None:
         """Look at once next time: it is another scene's sky."""
-        self._seen = self._looking = None
+        self._seen = self._sought = self._looking = None
 
     def look(
         self, renderer: Renderer, scene: Scene, place: Camera, *, resting: bool, at_once: bool = False
@@ -68,7 +68,7 @@ class SkyWatch:
                 return None
 
     def _taken(self, sky: Sky, seen: Hashable) -> Sky:
-        if not sky.found:
+        if seen and not sky.found:  # a scene that is still to be opened shows nothing at all
             logger.info("The scene shows no sky: drops take the colour of an overcast one")
         self._seen, self.is_exact, self._looking = seen, self._at_all, None
         return sky

@@ -4,13 +4,13 @@ from gsrain_engine.appearance.cyclegan_turbo.places import find_base, find_weigh
 from gsrain_engine.appearance.methods import Method
 from gsrain_engine.appearance.transfer_settings import TransferSettings
 
-from ..jobs.torch_extra import HOW_TO_GET_TORCH, has_torch
+from ..jobs.torch_extra import HOW_TO_GET_DIFFUSION, has_torch
 
 
 def lacking(method: Method, settings: TransferSettings) -> str | None:
     """Say in one sentence what is missing, and how to get it; None where all is there."""
     if method.needs_torch and not has_torch():
-        return f"{method.title} needs torch, which is not installed: {HOW_TO_GET_TORCH}"
+        return f"{method.title} needs torch, which is not installed: {HOW_TO_GET_DIFFUSION}"
     if method.needs == "images" and settings.images is None:
         return f"{method.title}: choose a folder of pictures first."
     for place in (getattr(settings, name) for name in ("weights", "images", "base") if name in method.uses):

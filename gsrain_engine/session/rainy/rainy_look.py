@@ -1,7 +1,6 @@
 """How the scene is to be made rainy: method, views, the preview of one view, and the job. Not part of the document."""
 
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -10,6 +9,8 @@ from gsrain_engine.appearance.methods import METHODS, Method, method_of
 from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.appearance.views.choice import ViewChoice
 
+from ..desk import Desk
+from ..files.scene_files import SceneFiles
 from ..jobs.background_job import BackgroundJob, JobPreview
 from ..jobs.rainy_scene_job import TITLE, RainyScene
 from ..jobs.scene_job import SceneJob
@@ -18,9 +19,6 @@ from ..jobs.transfer_work import TransferOrder
 from .lacking import lacking
 from .previewed_view import PreviewedView, Recipe
 from .view_sources import uses_capture, why_no_views
-
-if TYPE_CHECKING:
-    from ..session import Session
 
 QUICK_VIEWS = 8
 """Enough for a first look, and made in seconds."""
@@ -33,8 +31,8 @@ COMPARED_MM_H = 8.5
 class RainyLook:
     """What a person has chosen, and what came of it so far. Call everything on the main thread."""
 
-    def __init__(self, files: ThreadPoolExecutor) -> None:
-        """Begin with the method that needs nothing; `files` is where scenes are written for workers."""
+    def __init__(self, scene_files: SceneFiles, files: ThreadPoolExecutor) -> None:
+        """Begin with the method that needs nothing; `files` is the thread where scenes are written for workers."""
         self.method = METHODS[0].name
         self.settings = TransferSettings()
         self.choice = ViewChoice(count=QUICK_VIEWS, width_px=QUICK_WIDTH_PX)
@@ -44,7 +42,7 @@ class RainyLook:
         """The preview on the GPU."""
         self.viewport_px: tuple[int, int] = (960, 640)
         """Size of the viewport at the last frame."""
-        self._files = files
+        self._scene_files, self._files = scene_files, files
         self._preview: TransferPreview | None = None
 
     @property
@@ -63,11 +61,11 @@ class RainyLook:
 
     # Whether
 
-    def why_not(self, session: "Session") -> str | None:
+    def why_not(self, session: Desk) -> str | None:
         """Why the scene can't be made rainy now, in one sentence; None where it can."""
         return self.why_no_transfer or why_no_views(session, self.choice.source) or self._why_wait(session)
 
-    def why_no_preview(self, session: "Session") -> str | None:
+    def why_no_preview(self, session: Desk) -> str | None:
         """Why there can't be a preview now; None where there can."""
         if self.method == "images":
             return "Pictures of another program are of the chosen views alone: there is none from here."
@@ -80,7 +78,7 @@ class RainyLook:
         """What the method lacks; None where it has all it needs."""
         return lacking(self.row, self.settings)
 
-    def _why_wait(self, session: "Session") -> str | None:
+    def _why_wait(self, session: Desk) -> str | None:
         if session.running_jobs:
             return f"Wait for {session.running_jobs[0].title}, or cancel it."
         return "Wait for the scene that is being brought into the picture." if session.staged is not None else None
@@ -92,22 +90,22 @@ class RainyLook:
         """Whether a preview is on its way."""
         return self._preview is not None and self._preview.state == "running"
 
-    def preview(self, session: "Session") -> None:
+    def preview(self, session: Desk) -> None:
         """Begin to transfer what the viewport shows; the picture comes later, and is laid beside the live one."""
         if self.why_no_preview(session) is not None:
             return
         shot = session.shot(*self.viewport_px)
         nothing = np.zeros((1, 1, 3), np.uint8)
         wanted = PreviewedView(nothing, shot.camera, shot.time_s, session.scene, self.recipe)
-        self._preview = TransferPreview(wanted, self.preview_width_px, session.files.known, self._files)
+        self._preview = TransferPreview(wanted, self.preview_width_px, self._scene_files.known, self._files)
         session.start(self._preview)
 
-    def fits(self, session: "Session") -> bool:
+    def fits(self, session: Desk) -> bool:
         """Whether the preview is of what the viewport shows now."""
         shot = session.shot(*self.viewport_px)
         return self.previewed is not None and self.previewed.is_of(shot.camera, shot.time_s, session.scene)
 
-    def what_is_stale(self, session: "Session") -> str | None:
+    def what_is_stale(self, session: Desk) -> str | None:
         """Say what is different from when the preview was made; None where nothing is, or there is none."""
         if self.previewed is None:
             return None
@@ -115,7 +113,7 @@ class RainyLook:
             return "The settings have changed since."
         return None if self.fits(session) else "The view has changed since."
 
-    def look_from_preview(self, session: "Session") -> None:
+    def look_from_preview(self, session: Desk) -> None:
         """Go back to where the preview was made."""
         if self.previewed is not None:
             session.stop_riding()
@@ -123,7 +121,7 @@ class RainyLook:
             session.navigation.look_like(self.previewed.camera)
             session.clock.seek(self.previewed.time_s)
 
-    def poll(self, session: "Session") -> None:
+    def poll(self, session: Desk) -> None:
         """Take in a preview that has come. Once a frame."""
         if self._preview is None or self._preview.state == "running":
             return
@@ -135,20 +133,20 @@ class RainyLook:
 
     # The job
 
-    def make(self, session: "Session") -> None:
+    def make(self, session: Desk) -> None:
         """Start the job for the session's scene, if nothing is in its way."""
         if self.why_not(session) is not None:
             return
         capture = session.captures.path if uses_capture(session, self.choice.source) else None
         order = TransferOrder(self.method, self.settings, self.choice, capture)
-        session.start_task(RainyScene(session.scene, session.files.known, order))
+        session.start(SceneJob(RainyScene(session.scene, self._scene_files.known, order), self._files))
 
-    def newest(self, session: "Session") -> tuple[int, BackgroundJob] | None:
+    def newest(self, session: Desk) -> tuple[int, BackgroundJob] | None:
         """Return the last job of this kind, with its place among all jobs."""
         own = [(i, job) for i, job in enumerate(session.jobs) if _is_own(job)]
         return own[-1] if own else None
 
-    def compare(self, session: "Session") -> None:
+    def compare(self, session: Desk) -> None:
         """Lay the clear scene beside the rainy one; where no rain falls, let it rain, as a step."""
         session.view.split = "clear | rainy"
         if session.wetness_now == 0:

@@ -3,7 +3,7 @@
 import logging
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
@@ -11,11 +11,9 @@ from gsrain_engine.appearance.finetuning.settings import FinetuningSettings
 from gsrain_engine.appearance.finetuning.settings_file import load_finetuning
 from gsrain_engine.appearance.finetuning.task import TrainingTask
 
-from ..jobs.torch_extra import HOW_TO_GET_TORCH, has_torch
+from ..desk import Desk
+from ..jobs.torch_extra import HOW_TO_GET_DIFFUSION, has_torch
 from ..jobs.transfer_training import TransferTraining
-
-if TYPE_CHECKING:
-    from ..session import Session
 
 logger = logging.getLogger("gsrain")
 
@@ -58,10 +56,10 @@ class TransferStudio:
         """Whether the folder holds a training that was stopped."""
         return self.choice.output is not None and (self.choice.output / "checkpoint.safetensors").is_file()
 
-    def why_not(self, session: "Session") -> str | None:
+    def why_not(self, session: Desk) -> str | None:
         """Why no training can be started now, in one sentence; None where one can."""
         if not has_torch():
-            return f"Training needs torch, which is not installed: {HOW_TO_GET_TORCH}"
+            return f"Training needs torch, which is not installed: {HOW_TO_GET_DIFFUSION}"
         if self.choice.output is None:
             return "Choose a folder that the weights go into first."
         for path in (self.choice.clear, self.choice.rainy):
@@ -71,7 +69,7 @@ class TransferStudio:
             return f"Wait for {session.running_jobs[0].title}, or cancel it."
         return None
 
-    def start(self, session: "Session", *, resume: bool = False) -> None:
+    def start(self, session: Desk, *, resume: bool = False) -> None:
         """Begin, or go on from the folder's checkpoint; what is wrong with the settings is told in `problem`."""
         if self.why_not(session) is not None:
             return

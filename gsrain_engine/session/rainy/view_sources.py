@@ -1,11 +1,10 @@
 """Which sources of views the open scene has, and which camera the viewport has."""
 
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 from gsrain_engine.appearance.views.choice import Source
 
-if TYPE_CHECKING:
-    from ..session import Session
+from ..desk import Desk
 
 SOURCES: tuple[Source, ...] = get_args(Source)
 
@@ -19,7 +18,7 @@ TITLES: dict[Source, str] = {
 """For a person to read."""
 
 
-def why_no_views(session: "Session", source: Source) -> str | None:
+def why_no_views(session: Desk, source: Source) -> str | None:
     """Why views of a source can't be taken, in one sentence; None where they can."""
     scene, captures = session.scene, session.captures
     if not scene.gaussian_count:
@@ -38,7 +37,7 @@ def why_no_views(session: "Session", source: Source) -> str | None:
     return None
 
 
-def uses_capture(session: "Session", source: Source) -> bool:
+def uses_capture(session: Desk, source: Source) -> bool:
     """Whether views of a source are those of the open capture; by itself only where a person has said that it fits."""
     is_sure = session.captures.in_scene_axes is True and why_no_views(session, "recorded") is None
     return source == "recorded" or (source == "auto" and is_sure)

@@ -6,16 +6,16 @@ import msgspec
 import numpy as np
 import pytest
 
+from gsrain_engine.backends import open_renderer
 from gsrain_engine.drive.agents.agent import Agent
 from gsrain_engine.drive.agents.camera_idm import CameraIDMAgent
 from gsrain_engine.drive.agents.registry import AgentOptions, open_agent
-from gsrain_engine.drive.scenario.scenario import load_scenario
+from gsrain_engine.drive.scenario.scenario_files import load_scenario
 from gsrain_engine.drive.simulation.drive import drive
 from gsrain_engine.drive.simulation.simulation import Simulation
 from gsrain_engine.drive.vehicle.bicycle import moved_on
 from gsrain_engine.drive.vehicle.state import Control
 from gsrain_engine.evaluate.detection.detector import Detection
-from gsrain_engine.render.backends import open_renderer
 from gsrain_engine.scene.open_scene import open_to_draw
 from small_scene import small_scene
 

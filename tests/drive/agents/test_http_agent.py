@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from drive.hugsim.road_with_lead import scenario, scene
+from gsrain_engine.backends import open_renderer
 from gsrain_engine.drive.agents.agent import Agent
 from gsrain_engine.drive.agents.client_error import ClientError
 from gsrain_engine.drive.agents.http_agent import HttpAgent
@@ -24,7 +25,6 @@ from gsrain_engine.drive.simulation.drive import drive
 from gsrain_engine.drive.simulation.simulation import Simulation
 from gsrain_engine.drive.vehicle.state import VehicleState
 from gsrain_engine.drive.vehicle.vehicle import Vehicle
-from gsrain_engine.render.backends import open_renderer
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.street.rigs import street_rigs
 

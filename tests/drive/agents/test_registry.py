@@ -68,7 +68,7 @@ def test_agents_of_installed_packages_come_after_ours(package):
     ("name", "says"),
     [
         ("absent", r"agent absent \(no_such_module_of_slow:Agent of slow-driver\): No module named"),
-        ("broken", r"agent broken \(slow_driver:broken of slow-driver\): no weights"),
+        ("broken", r"agent broken \(slow_driver:broken of slow-driver\): line 10 of slow_driver.py: no weights"),
         ("other", "makes a int, which has not"),
         ("nobody", "agent nobody: there is none of that name, only constant-velocity, .*slow"),
     ],

@@ -5,8 +5,9 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
-from gsrain_engine.drive.scenario.scenario import ControllerSettings, Scenario, ScenarioUser
+from gsrain_engine.drive.scenario.scenario import Scenario, ScenarioUser
 from gsrain_engine.drive.traffic.constant_velocity import ConstantVelocity
+from gsrain_engine.drive.vehicle.controller_settings import ControllerSettings
 from gsrain_engine.scene.street.rigs import street_rigs
 from gsrain_engine.scene.track import Track
 from small_scene import small_scene

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from drive.hugsim.road_with_lead import scenario, scene
+from gsrain_engine.backends import open_renderer
 from gsrain_engine.drive.agents.agent import Agent, Needs
 from gsrain_engine.drive.agents.client_error import ClientError
 from gsrain_engine.drive.hugsim.agent import HugsimAgent
@@ -18,7 +19,6 @@ from gsrain_engine.drive.hugsim.message import camera_params, hugsim_info
 from gsrain_engine.drive.hugsim.setting import all_six, in_hugsim_setting
 from gsrain_engine.drive.simulation.drive import drive
 from gsrain_engine.drive.simulation.simulation import Simulation
-from gsrain_engine.render.backends import open_renderer
 
 CLIENT = Path(__file__).parent / "client.py"
 

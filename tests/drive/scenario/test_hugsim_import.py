@@ -2,8 +2,8 @@ import msgspec
 import pytest
 import yaml
 
-from gsrain_engine.drive.scenario.hugsim_import import is_hugsim_scenario, read_hugsim_scenario
-from gsrain_engine.drive.scenario.scenario import load_scenario
+from gsrain_engine.drive.scenario.hugsim_import import is_hugsim_scenario
+from gsrain_engine.drive.scenario.scenario_files import load_scenario
 from gsrain_engine.drive.simulation.simulation import Simulation
 from gsrain_engine.drive.vehicle.state import Control
 from gsrain_engine.drive.vehicle.vehicle import HUGSIM_VEHICLE
@@ -29,7 +29,7 @@ def written(tmp_path):
 
 def test_a_vehicle_goes_where_hugsims_planner_takes_it(written):
     # HUGSIM: a (right) -= v sin(yaw) dt, b (forward) += v cos(yaw) dt, from (2, 13): left by the yaw.
-    test = read_hugsim_scenario(written(CAR))
+    test = load_scenario(written(CAR))
     (car,) = test.road_users
     assert (car.ahead_m, car.left_m) == pytest.approx((13.0, -2.0))
     assert (car.turned_deg, car.speed_m_s) == pytest.approx((5.72958, 2.0), abs=1e-4)
@@ -49,7 +49,7 @@ def test_a_vehicle_goes_where_hugsims_planner_takes_it(written):
 
 
 def test_a_turned_start_turns_everything(written):
-    test = read_hugsim_scenario(written(CAR, start_ab=[1.0, 3.0], start_euler=[0.0, 90.0, 0.0]))
+    test = load_scenario(written(CAR, start_ab=[1.0, 3.0], start_euler=[0.0, 90.0, 0.0]))
     assert (test.ahead_m, test.left_m, test.turned_deg) == (3.0, -1.0, -90.0)
     (car,) = test.road_users
     # Looking right: what is 1 m to the right is ahead, what is 10 m forward is to the left.
@@ -59,7 +59,7 @@ def test_a_turned_start_turns_everything(written):
 def test_planners_become_behaviours(written):
     idm = [*CAR[:6], "IDM", {}]
     cycle = [*CAR[:6], "UnicyclePlanner", {"uc_id": "6e29", "speed": 0.6}]
-    followed, recorded = (each.behaviour for each in read_hugsim_scenario(written(idm, cycle)).road_users)
+    followed, recorded = (each.behaviour for each in load_scenario(written(idm, cycle)).road_users)
     assert (followed.desired_speed_m_s, followed.least_gap_m, followed.headway_s) == (30, 5, 2)
     assert (recorded.actor, recorded.pace) == ("6e29", 0.6)
 
@@ -83,7 +83,7 @@ def test_planners_become_behaviours(written):
 )
 def test_what_cannot_be_taken_is_said(written, rows, fields, said):
     with pytest.raises(ValueError, match=f"scene-0383-easy-00.yaml: .*{said}|scene-0383-easy-00.yaml: {said}"):
-        read_hugsim_scenario(written(*rows, **fields))
+        load_scenario(written(*rows, **fields))
 
 
 def test_hugsims_own_scenarios_are_recognized_and_read(test_data):

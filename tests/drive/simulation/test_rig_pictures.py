@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from drive.simulation.small_drive import scenario
+from gsrain_engine.backends import open_renderer
 from gsrain_engine.drive.agents.agent import Needs
 from gsrain_engine.drive.simulation import rig_pictures
 from gsrain_engine.drive.simulation.rig_pictures import RigPictures
 from gsrain_engine.drive.simulation.simulation import Simulation
 from gsrain_engine.drive.vehicle.state import Control
 from gsrain_engine.rain.rain import Rain
-from gsrain_engine.render.backends import open_renderer
 from small_scene import small_scene
 
 AHEAD_M, LEFT_M = 1.7, 0.4

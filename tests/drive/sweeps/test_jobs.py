@@ -40,6 +40,18 @@ def test_an_id_follows_the_bytes_of_scene_and_detector(tmp_path):
     assert first[0].files.keys() == {str(detector)}
 
 
+def test_an_id_follows_the_bytes_of_a_drivers_own_file(tmp_path):
+    scenario, driver = write_scenario(tmp_path / "short.yaml", write_road(tmp_path / "road")), tmp_path / "mine.py"
+    sweep = sweep_of([scenario], agents=[f"{driver}:Mine"])
+    with pytest.raises(ValueError, match=r"mine.py:Mine: no such file"):
+        jobs_of(sweep)
+    driver.write_text("first")
+    first = jobs_of(sweep)
+    driver.write_text("other")
+    assert {job.id for job in first}.isdisjoint(job.id for job in jobs_of(sweep))
+    assert first[0].files.keys() == {str(driver)} and first[0].agent.title == "mine.py:Mine"
+
+
 def test_a_seed_begins_alike_at_every_intensity_and_seed_0_as_it_was_written(tmp_path):
     jobs = small_jobs(tmp_path, seeds=3, jitter={"ego_speed_m_s": 0.5, "ahead_m": 1.0, "left_m": 0.2, "speed_m_s": 1})
     starts = {}

@@ -55,7 +55,7 @@ def test_clips_differ_in_rain_and_share_their_labels(sweep, tmp_path):
 def test_again_elsewhere_it_is_the_same_bytes_and_a_clip_that_stands_is_not_drawn_again(sweep, tmp_path, monkeypatch):
     job = jobs_of(sweep)[1]
     first, second = SweepFolder(tmp_path / "first"), SweepFolder(tmp_path / "second")
-    old, new = (first.clips / f".{job.id}.{name}.part" for name in ("old", "new"))
+    old, new = (first.clips / f".{job.id}.{digits}.part" for digits in ("01dc11b5", "0e3c11b5"))
     for part in (old, new):
         part.mkdir(parents=True)
     os.utime(old, (0, 0))

@@ -4,7 +4,7 @@ import os
 import pytest
 from msgspec import structs
 
-from gsrain_engine.drive.simulation.rollout_files import read_rollout
+from gsrain_engine.drive.rollouts.json_lines import read_rollout
 from gsrain_engine.drive.sweeps import sweep_folder
 from gsrain_engine.drive.sweeps.engine import HereEngine
 from gsrain_engine.drive.sweeps.outcome import Outcome
@@ -76,6 +76,15 @@ def test_a_full_disk_stops_it_with_a_sentence_and_loses_nothing(tmp_path, monkey
         finished(run_sweep(jobs, HereEngine(), folder))
     assert folder.to_do(jobs) == jobs[2:]
     assert all(file.suffix == ".parquet" and not file.name.startswith(".") for file in folder.rows.iterdir())
+
+
+def test_a_line_of_the_log_that_a_full_disk_has_torn_stands_by_itself(tmp_path):
+    jobs, folder = small_jobs(tmp_path), SweepFolder(tmp_path / "out")
+    folder.keep(jobs[0], answer(jobs[0]))
+    folder.log.write_bytes(folder.log.read_bytes() + b'{"at": "2026')
+    folder.keep(jobs[1], answer(jobs[1]))
+    whole, torn, again = folder.log.read_text().splitlines()
+    assert jobs[0].id in whole and jobs[1].id in again and torn == '{"at": "2026'
 
 
 def test_a_scene_that_changes_meanwhile_stops_it_and_fails_no_job(tmp_path):

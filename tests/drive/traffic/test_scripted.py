@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from drive.traffic.on_the_road import car, moves, settings
-from gsrain_engine.drive.simulation.rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
-from gsrain_engine.drive.simulation.rollout_files import write_rollout
+from gsrain_engine.drive.rollouts.json_lines import write_rollout
+from gsrain_engine.drive.rollouts.rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
 from gsrain_engine.drive.traffic.behaviours import BehaviourSettings
 from gsrain_engine.scene.members import Actor
 from gsrain_engine.scene.track import Track

@@ -4,9 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller_loop import CAR, STRAIGHT, circle, driven, lane_change
-from gsrain_engine.drive.scenario.scenario import ControllerSettings
 from gsrain_engine.drive.vehicle.bicycle import moved_on
 from gsrain_engine.drive.vehicle.controller import Controller
+from gsrain_engine.drive.vehicle.controller_settings import ControllerSettings
 from gsrain_engine.drive.vehicle.controllers import open_controller
 from gsrain_engine.drive.vehicle.ilqr import ILQRTracker
 from gsrain_engine.drive.vehicle.pure_pursuit import PurePursuit

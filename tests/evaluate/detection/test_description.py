@@ -18,7 +18,7 @@ def test_every_shipped_description_is_one():
     ("text", "problem"),
     [
         ("decode: yolo\nsize: 3", "unknown field `size`"),
-        ("decode: retina", r"Invalid enum value 'retina' - at `\$.decode`"),
+        ("decode: retina", r"'retina' is none of end_to_end, .*nanodet - at `\$.decode`"),
         ("classes: coco", "missing required field `decode`"),
         ("decode: yolo\npadding: 300", r"<= 255 - at `\$.padding`"),
         ("decode: yolo\ndeviation: [1, 0, 1]", r"> 0.0 - at `\$.deviation"),

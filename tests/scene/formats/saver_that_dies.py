@@ -21,7 +21,7 @@ from gsrain_engine.scene.scene import Scene
 
 COUNT = 3000
 RANDOM_DEATHS = 30
-STEPS = 80
+STEPS = 170
 """More than two saves take."""
 _CALLS = {"open", "write", "fsync", "close", "replace", "rename", "unlink", "mkdir", "link", "flock", "scandir"}
 

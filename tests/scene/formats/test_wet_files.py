@@ -114,7 +114,7 @@ DAMAGE = {
     "cut off": (lambda data: data[:-4], "does not end after the 7,680 bytes"),
     "too long": (lambda data: data + b"\0", "does not end after the 7,680 bytes"),
     "other numbers": (lambda data: data.replace(b"<f4", b"<i4"), "int32 (40, 16, 3), expected float32 (40, 16, 3)"),
-    "objects": (lambda data: data.replace(b"'<f4'", b"'|O' "), "expected float32 (40, 16, 3)"),
+    "objects": (lambda data: data.replace(b"'<f4'", b"'|O' "), "holds object, not real numbers"),
     "other order": (lambda data: data.replace(b"False", b"True "), "in Fortran's order"),
     "other shape": (lambda data: data.replace(b"(40, 16, 3)", b"(16, 40, 3)"), "(16, 40, 3), expected float32 (40,"),
     "a lie": (lambda data: data.replace(b"(40, 16, 3)", b"(9**40, 1,)"), "no array file of wet colours"),

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.simulation.rollout_files import read_rollout, write_rollout
+from gsrain_engine.drive.rollouts.json_lines import read_rollout, write_rollout
 from gsrain_engine.scene.formats.known_files import KnownFiles
 from gsrain_engine.session.drive.opened_rollout import open_rollout
 from gsrain_engine.session.files.opened import Opened
@@ -122,7 +122,7 @@ def test_a_rollout_is_saved_as_it_is(session, tmp_path, file):
     assert session.problem is None
     assert session.drives.playing.path == tmp_path / "copy.jsonl"
     assert (tmp_path / "copy.jsonl").read_bytes() == file.read_bytes()
-    session.drives.save_as(tmp_path / "nowhere" / "copy.jsonl")
+    session.drives.save_as(file / "copy.jsonl")  # a file is no folder
     settled(session)
     assert "can't be written" in session.problem
 

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.scenario.scenario import load_scenario
+from gsrain_engine.drive.scenario.scenario_files import load_scenario
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.session.drive.drive_wishes import DriveWishes
 from gsrain_engine.session.drive.mosaic import Mosaic, mosaic_rows

@@ -1,10 +1,6 @@
-"""What a session opens, saves, keeps and asks: no window needed."""
+"""What a session opens, saves and asks: no window needed."""
 
 import json
-import subprocess
-import sys
-from concurrent.futures import wait
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,75 +9,8 @@ from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
-from gsrain_engine.session.files.autosave import beside
-from gsrain_engine.session.session import Session
+from session.files.open_document import answer, delete_every_third, names_in, settle
 from small_scene import small_scene
-
-
-@pytest.fixture(autouse=True)
-def own_folders(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-
-
-@pytest.fixture
-def sessions():
-    every = []
-
-    def make(scene=None):
-        every.append(Session(scene))
-        return every[-1]
-
-    yield make
-    for session in every:
-        session.close()
-
-
-def settle(session):
-    """Let background work end and take it in, without a live view."""
-    for _ in range(4):
-        wait(session.pending_files, timeout=60)
-        session.update(0.0)
-        session.swap_in()
-
-
-def answer(session, label):
-    session.answer(next(each for each in session.question.answers if each.label == label))
-    settle(session)
-
-
-@pytest.fixture
-def home(tmp_path):
-    write_scene(small_scene("crossing"), tmp_path / "crossing")
-    return tmp_path / "crossing"
-
-
-@pytest.fixture
-def session(sessions, home):
-    opened = sessions()
-    opened.open(str(home))
-    settle(opened)
-    assert opened.scene.name == "crossing" and opened.question is None
-    return opened
-
-
-def delete_every_third(session):
-    member = session.scene.members[0]
-    deleted = Mask.of(np.arange(len(member.gaussians)) % 3 == 0)
-    session.set_scene("Delete", session.scene.with_member(member.key, marks=Marks(deleted=deleted)))
-    return deleted
-
-
-def keep_now(session):
-    """Let the time of an autosave come."""
-    session.update(0.0)  # sees the change
-    late = session.files.recovery.now() + session.preferences.autosave_s
-    session.files.recovery.now = lambda: late
-    settle(session)
-
-
-def names_in(folder):
-    return {file.name: file.stat().st_ino for file in folder.rglob("*") if file.is_file()}
 
 
 def test_save_writes_where_the_document_came_from(session, home):
@@ -134,23 +63,6 @@ def test_what_was_saved_in_drawing_order_is_not_sorted_again(session, sessions, 
     for found, saved in zip(again.scene.layers, session.scene.layers, strict=True):
         assert np.array_equal(found.gaussians.means, saved.gaussians.means)
     assert again.scene.layers[0].marks.deleted.same_as(session.scene.layers[0].marks.deleted)
-
-
-def test_an_autosave_that_fails_is_told_once_and_tried_again(session, home, monkeypatch):
-    def full(*_, **__):
-        raise OSError(28, "No space left on device")
-
-    delete_every_third(session)
-    with monkeypatch.context() as patched:
-        patched.setattr("gsrain_engine.session.files.autosave.write_scene_folder", full)
-        keep_now(session)
-        assert "autosave can't be written: No space left" in session.problem
-        session.problem = None
-        keep_now(session)
-        assert session.problem is None
-    keep_now(session)
-    assert (beside(home) / "scene" / "scene.json").exists()
-    session.files.give_up()
 
 
 def test_a_recent_scene_that_is_gone_is_forgotten(session, home, tmp_path):
@@ -211,7 +123,7 @@ def test_opening_another_scene_asks_about_changes(session, home, tmp_path, label
     write_scene(small_scene("other"), tmp_path / "other")
     delete_every_third(session)
     session.open(str(tmp_path / "other"))
-    assert session.question.title == "Unsaved changes"
+    assert session.questions.present.title == "Unsaved changes"
     assert not session.files.is_opening
     answer(session, label)
     assert (session.scene.name == "other") == is_opened
@@ -222,7 +134,7 @@ def test_leaving_asks_and_cancel_stays(session):
     delete_every_third(session)
     session.leave()
     answer(session, "Cancel")
-    assert not session.is_leaving and session.question is None
+    assert not session.is_leaving and session.questions.present is None
     session.leave()
     answer(session, "Don't save")
     assert session.is_leaving
@@ -230,7 +142,7 @@ def test_leaving_asks_and_cancel_stays(session):
 
 def test_leaving_without_changes_asks_nothing(session):
     session.leave()
-    assert session.is_leaving and session.question is None
+    assert session.is_leaving and session.questions.present is None
 
 
 def test_a_save_that_fails_does_not_leave(session, monkeypatch):
@@ -258,7 +170,7 @@ def test_a_file_changed_by_someone_else_is_noticed(session, home, tmp_path, labe
     delete_every_third(session)
     touched_by_someone_else(home)
     session.files.save()
-    assert session.question.title == "Changed on disk"
+    assert session.questions.present.title == "Changed on disk"
     answer(session, label)
     if label == "Save as...":
         session.files.place_wanted(tmp_path / "mine")
@@ -272,132 +184,7 @@ def test_a_file_that_was_only_touched_is_no_change(session, home):
     delete_every_third(session)
     session.files.save()
     settle(session)
-    assert session.question is None and not session.has_changes
-
-
-def test_an_autosave_comes_in_time_and_goes_with_a_save(session, home):
-    session.update(0.0)
-    keep_now(session)
-    assert not beside(home).exists()  # nothing has changed
-    session.files.save()
-    settle(session)
-    deleted = delete_every_third(session)
-    session.update(0.0)
-    settle(session)
-    assert not beside(home).exists()  # not yet
-    keep_now(session)
-    kept = beside(home) / "scene"
-    assert read_scene(kept).members[0].marks.deleted.same_as(deleted)
-    assert read_scene(home).members[0].marks.deleted is None
-    linked = set(names_in(kept).values()) & set(names_in(home).values())
-    assert len(linked) == 3  # the PLY files have a second name instead of a copy
-    session.files.save()
-    settle(session)
-    assert not beside(home).exists()
-
-
-def test_an_autosave_of_a_scene_without_folder_is_kept_in_the_state_folder(sessions, tmp_path):
-    session = sessions(small_scene("nowhere"))
-    delete_every_third(session)
-    keep_now(session)
-    (kept,) = (tmp_path / "state" / "gsrain" / "unsaved").iterdir()
-    assert read_scene(kept / "scene").name == "nowhere"
-    session.files.give_up()
-    session.close()
-    assert not kept.exists()
-
-
-def test_closing_without_an_answer_loses_nothing(sessions, home, session):
-    delete_every_third(session)
-    keep_now(session)
-    session.close()  # the display is gone, say
-    again = sessions()
-    again.files.offer_recovery()
-    settle(again)
-    assert "crossing" in again.question.text and str(home) in again.question.text
-    answer(again, "Recover")
-    assert again.scene.members[0].marks.deleted is not None
-    assert again.has_changes and again.files.home == home
-    again.files.save()
-    settle(again)
-    assert read_scene(home).members[0].marks.deleted is not None
-    assert not beside(home).exists()
-
-
-def test_discard_and_later(sessions, home, session):
-    delete_every_third(session)
-    keep_now(session)
-    session.close()
-    later = sessions()
-    later.open(str(home))
-    settle(later)
-    answer(later, "Later")
-    assert later.scene.members[0].marks.deleted is None
-    delete_every_third(later)
-    before = names_in(beside(home))
-    keep_now(later)
-    assert names_in(beside(home)) == before  # what was put off is not overwritten
-    later.files.give_up()
-    later.close()
-    again = sessions()
-    again.open(str(home))
-    settle(again)
-    answer(again, "Discard")
-    assert again.question is None
-    again.close()
-    assert not beside(home).exists()
-
-
-def test_an_autosave_of_a_living_session_is_not_offered_and_not_overwritten(sessions, home, session):
-    delete_every_third(session)
-    keep_now(session)
-    before = names_in(beside(home))
-    other = sessions()
-    other.files.offer_recovery()
-    other.open(str(home))
-    settle(other)
-    assert other.question.title == "Open twice"
-    answer(other, "Go on")
-    assert other.question is None
-    other.change_rain("Intensity", intensity_mm_h=3.0)
-    keep_now(other)
-    assert names_in(beside(home)) == before
-    other.files.give_up()
-
-
-def test_what_a_killed_process_has_kept_is_offered_and_what_a_living_one_has_is_not(sessions, home):
-    program = Path(__file__).with_name("session_to_be_killed.py")
-    with subprocess.Popen(
-        [sys.executable, program, home], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout.readline() == "kept\n"
-        early = sessions()
-        early.open(str(home))
-        early.files.offer_recovery()
-        settle(early)
-        assert early.question.title == "Open twice"
-        answer(early, "Close it here")
-        assert early.question is None
-        process.kill()
-    late = sessions()
-    late.files.offer_recovery()
-    settle(late)
-    assert late.question.title == "Recover unsaved changes"
-    answer(late, "Recover")
-    assert late.scene.layers[0].marks.deleted.size == 100
-    assert late.rain.intensity_mm_h == 8.5
-    assert late.files.home == home and late.has_changes
-    assert read_scene(home).layers[0].marks.deleted is None
-    late.files.give_up()
-
-
-def test_closing_it_here_goes_to_an_empty_scene(sessions, home, session):
-    other = sessions()
-    other.open(str(home))
-    settle(other)
-    answer(other, "Close it here")
-    assert other.scene.members == ()
-    assert not other.has_changes
+    assert session.questions.present is None and not session.has_changes
 
 
 def test_another_scene_is_not_replaced_unasked(session, tmp_path):

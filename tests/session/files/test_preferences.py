@@ -11,12 +11,6 @@ from gsrain_engine.session.files.recent_files import MOST, add_recent_file, forg
 from gsrain_engine.session.session import Session
 
 
-@pytest.fixture(autouse=True)
-def own_folders(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-
-
 def test_preferences_come_back():
     assert load_preferences() == (Preferences(), None)
     session = Session()
@@ -52,12 +46,12 @@ def test_a_bad_file_is_told_once_and_kept(text):
     preferences_file().parent.mkdir(parents=True)
     preferences_file().write_text(text)
     session = Session()
-    assert str(preferences_file()) in session.question.text
+    assert str(preferences_file()) in session.questions.present.text
     assert session.preferences == Preferences()
     assert preferences_file().with_name("preferences.bad.yaml").read_text() == text
     session.close()
     again = Session()
-    assert again.question is None
+    assert again.questions.present is None
     again.close()
 
 

@@ -122,12 +122,12 @@ def test_what_is_there_is_only_replaced_when_a_person_says_so(session, tmp_path)
     session.recorder.change(codec="png", size_px=(96, 64), last_s=0.03)
     session.recorder.record_to(target)
     assert session.jobs == []
-    assert session.question.text == "clip is there already."
-    replace_it, leave_it = session.question.answers
-    session.answer(leave_it)
+    assert session.questions.present.text == "clip is there already."
+    replace_it, leave_it = session.questions.present.answers
+    session.questions.answer(leave_it)
     assert session.jobs == []
     session.recorder.record_to(target)
-    session.answer(replace_it)
+    session.questions.answer(replace_it)
     assert len(session.jobs) == 1
     session.jobs[0].cancel()
 

@@ -190,5 +190,5 @@ def test_a_disk_that_fails_is_a_failed_job(session, monkeypatch):
     session.start(job)
     wait([session._files.submit(lambda: None)])
     follow(session, job)
-    assert (job.state, job.error) == ("failed", "[Errno 28] No space left on device")
+    assert (job.state, job.error) == ("failed", "No space left on device")
     assert np.array_equal(session.scene.layers[0].gaussians.means, small_scene().layers[0].gaussians.means)

@@ -63,13 +63,13 @@ def _until(session, condition):
     while not condition():
         assert time.monotonic() < last, "waited in vain"
         session.update(0.001)
-        for work in [session.captures.matching._working, session.captures._opening]:
+        for work in [session.matching._working, session.captures._opening]:
             if work is not None:
                 work[-1].exception()  # waits for it
 
 
 def test_recorded_views_are_matched_with_the_one_that_is_asked_for(session, written):
-    captures, matching = session.captures, session.captures.matching
+    captures, matching = session.captures, session.matching
     captures.open(written)
     _until(session, lambda: captures.capture is not None)
     assert matching.shown is None
@@ -99,7 +99,7 @@ def test_recorded_views_are_matched_with_the_one_that_is_asked_for(session, writ
 
 
 def test_the_live_view_is_matched_by_the_scenes_depth(session, written):
-    captures, matching = session.captures, session.captures.matching
+    captures, matching = session.captures, session.matching
     captures.open(written)
     _until(session, lambda: captures.capture is not None)
     captures.chosen, captures.in_scene_axes, matching.is_on = 0, True, True

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.render.backends import open_renderer
+from gsrain_engine.backends import open_renderer
 from gsrain_engine.render.scene_view import Shot
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear

@@ -267,7 +267,7 @@ def test_exports_read_back_or_are_told(session, tmp_path, export):
     assert session.scene.path is not path
     assert session.scene.path.positions[0] == pytest.approx(path.positions[0], abs=1e-9)
     assert session.scene.path.positions[-1] == pytest.approx(path.positions[-1], abs=1e-6)
-    export(session, tmp_path / "nowhere" / "out.json")
+    export(session, tmp_path / "out.json" / "out.json")  # a file is no folder
     assert "can't be written" in session.problem
 
 

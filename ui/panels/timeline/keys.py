@@ -7,7 +7,7 @@ from gsrain_engine.session.timeline import edits as edits
 from gsrain_engine.session.timeline import moments as moments
 from gsrain_engine.session.timeline import path_files as files
 
-from .colors import CHOSEN, KEY, OUTLINE, color
+from ...widgets.colors import CHOSEN, KEY, OUTLINE, color
 
 _RADIUS = 6.5
 _LEFT, _RIGHT = imgui.MouseButton_.left, imgui.MouseButton_.right

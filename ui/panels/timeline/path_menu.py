@@ -6,7 +6,7 @@ from gsrain_engine.session.session import Session
 from gsrain_engine.session.timeline import edits as edits
 from gsrain_engine.session.timeline import path_files as files
 
-from ...pages.file_dialogs import ask_what_to_open, ask_where_to_save
+from ...widgets.file_dialogs import ask_what_to_open, ask_where_to_save
 from .widgets import icon_button
 
 _FRAME_RATES = (10.0, 24.0, 25.0, 30.0, 50.0, 60.0)

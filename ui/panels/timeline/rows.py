@@ -6,7 +6,7 @@ from gsrain_engine.session.session import Session
 from gsrain_engine.session.timeline.rows import TimelineRow, track_rows, weather_row
 from gsrain_engine.session.timeline.timeline import speed_of
 
-from .colors import DIM, FLIGHT, OUTLINE, PRESENT, RAIN, STRIPE, TEXT, TOO_FAST, color
+from ...widgets.colors import DIM, FLIGHT, OUTLINE, PRESENT, RAIN, STRIPE, TEXT, TOO_FAST, color
 from .keys import camera_keys
 
 ROW_EM = 1.3

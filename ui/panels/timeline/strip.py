@@ -5,7 +5,7 @@ from imgui_bundle import ImVec2, imgui
 from gsrain_engine.session.session import Session
 from gsrain_engine.session.timeline import moments as moments
 
-from .colors import DIM, FAINT, PLAYED, PLAYHEAD, color
+from ...widgets.colors import DIM, FAINT, PLAYED, PLAYHEAD, color
 
 HEIGHT_EM = 1.7
 _LABELS_APART_EM = 4.5

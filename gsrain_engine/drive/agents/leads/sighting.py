@@ -10,7 +10,7 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.coco_classes import coco_class
 
 from ...vehicle.vehicle import Vehicle
-from ..lane_path import LanePath, OnPath, front_m, half_corridor_m
+from ..lane_path import LanePath, OnPath, half_corridor_m
 
 WIDTHS_M = {"car": 1.8, "truck": 2.5, "bus": 2.5, "train": 2.9, "motorcycle": 0.8, "bicycle": 0.6, "person": 0.5}
 """Who may be in the way, and how wide it is seen from behind."""
@@ -82,7 +82,7 @@ def _sighting(
     if abs(place.left_m) - width / 2 > half_corridor_m(vehicle):
         return None
     by_edge = _BOX_ERROR * camera.width * depth * depth / (focal * above)
-    gap = place.ahead_m - overhang - front_m(vehicle)
+    gap = place.ahead_m - overhang - vehicle.front_m
     return Sighting(detection, gap, float(np.hypot(_LEAST_ERROR_M, max(error, by_edge))))
 
 

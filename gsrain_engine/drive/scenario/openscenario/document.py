@@ -10,12 +10,12 @@ from gsrain_engine.scene.scene import Scene
 
 from ...road.ground import ground_of
 from ...road.route import recorded_route
-from ...simulation.traffic import Traffic
 from ...traffic.ego_user import ego_user
 from ...traffic.in_lane import gap_between
 from ...traffic.road_user import RoadUser
 from ..scenario import Scenario, ScenarioUser
 from ..start import start_state
+from ..traffic import Traffic
 from .entities import ego_entity, user_entity
 from .manoeuvres import Place, controller, manoeuvre, position, trajectory
 from .names import EGO, OWN_FIELDS, PROPERTY

@@ -60,7 +60,7 @@ def behaviour(path: Path, root: Element, actor: Actor) -> dict[str, Any]:
     ((event, triggers),) = events
     change, speed, follow = (event.find(f"Action/{each}") for each in (_LANE_CHANGE, _SPEED, _FOLLOW))
     actions = event.findall("Action")
-    if len(actions) != sum(each is not None for each in (change, speed, follow)):
+    if not actions or len(actions) != sum(each is not None for each in (change, speed, follow)):
         kinds = {kind.tag for each in actions for kind in each.iterfind("PrivateAction/*")} or {"no private action"}
         raise ValueError(
             f"{where}: {', '.join(sorted(kinds))}: only LaneChangeAction, SpeedAction and FollowTrajectoryAction, one "

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass, field
 
-from ...simulation.traffic import Traffic
 from ...traffic.road_user import RoadUser
 from ..scenario import Scenario
+from ..traffic import Traffic
 from .manoeuvres import Place
 
 

@@ -6,6 +6,12 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
+from gsrain_engine.plain_values import read_whole
+from gsrain_engine.printable import printable
+
+_MOST = 1e9
+"""No length, time, speed or angle of a scenario is more; products of such numbers are finite."""
+
 _PARAMETER = re.compile(r"\$(\w+)")
 
 
@@ -20,12 +26,13 @@ def read_xml(path: Path) -> Element:
     A file with a document type is refused, so no entities are there to expand and nothing else is opened. Raises
     ValueError with the file and what is wrong.
     """
+    data = read_whole(path)
     parser = ElementTree.XMLParser(target=_NoDocumentType())
     try:
-        parser.feed(path.read_bytes())
+        parser.feed(data)
         root: Element = parser.close()
-    except (ElementTree.ParseError, ValueError) as error:
-        raise ValueError(f"{path}: {error}") from None
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: an encoding that is none
+        raise ValueError(f"{path}: {printable(error)}") from None
     if root.tag != "OpenSCENARIO" or root.find("Storyboard") is None:
         raise ValueError(f"{path}: not an OpenSCENARIO scenario: there is no Storyboard in it")
     declared = {each.get("name", ""): each.get("value", "") for each in root.iter("ParameterDeclaration")}
@@ -50,7 +57,7 @@ def number(path: Path, element: Element, name: str) -> float:
         found = float(value or "")
     except ValueError:
         found = math.nan
-    if not math.isfinite(found):
+    if not abs(found) <= _MOST:
         stands = "is missing" if value is None else f'is "{value}"'
         raise ValueError(f"{path}: {element.tag}@{name} {stands}: expected a number")
     return found

@@ -1,0 +1,215 @@
+"""What a person does in the window for hours, as a script that goes on a little each frame: the same for a seed."""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from gsrain_engine.scene.mask import Mask
+from gsrain_engine.session.edits.floaters import FloaterRules
+from gsrain_engine.session.jobs.floater_job import FloaterJob
+from gsrain_engine.session.selection.combine import combined
+from gsrain_engine.session.session import Session
+from ui.actions import ACTIONS
+
+_BY_NAME = {action.name: action for action in ACTIONS}
+_ANSWERS = ("Don't save", "Replace", "Overwrite", "Later", "Go on", "OK")
+"""What is said to the program's questions, the first that is offered."""
+_PATIENCE_S = 300.0
+_RATES = ("Set no rain", "Set 1.2 mm/h", "Set 8.5 mm/h", "Set 12 mm/h")
+_LOOKS = ("depth", "opacity", "splats")
+
+
+class Person:
+    """Opens scenes, plays, rains, edits, records, starts and stops jobs, saves, and opens again."""
+
+    def __init__(self, session: Session, scenes: list[str], folder: Path, seed: int) -> None:
+        self._session, self._scenes, self._folder = session, scenes, folder
+        self._random = np.random.default_rng(seed)
+        self.cycles = 0
+        self.doing = "beginning"
+        self.problems: list[str] = []
+        """What the program has said went wrong."""
+        self.is_at_rest = False
+        """Whether nothing is open and nothing goes on: figures of such moments can be compared."""
+
+    def steps(self) -> Iterator[None]:
+        """Go on with one step each frame; never ends."""
+        while True:
+            for scene in self._scenes:
+                yield from self._sitting(scene)
+            self.cycles += 1
+
+    def look_after(self) -> None:
+        """Answer what the program asks, and note what it complains of."""
+        session = self._session
+        if session.problem is not None:
+            self.problems.append(f"cycle {self.cycles}, {self.doing}: {session.problem}")
+            session.problem = None
+        if session.questions.present is not None:
+            offered = {each.label: each for each in session.questions.present.answers}
+            label = next((each for each in _ANSWERS if each in offered), session.questions.present.answers[-1].label)
+            session.questions.answer(offered[label])
+
+    def _sitting(self, scene: str) -> Iterator[None]:
+        parts = [self._play, self._look, self._rain, self._edit, self._key, self._record, self._jobs, self._save]
+        yield from self._open(scene)
+        for number in self._random.permutation(len(parts) - 1):
+            yield from self._at(parts[number])
+        yield from self._at(self._save)
+        yield from self._at(self._close)
+
+    def _at(self, part: Callable[[], Iterator[None]]) -> Iterator[None]:
+        self.doing = part.__name__.strip("_")
+        yield from part()
+
+    # Parts of a sitting
+
+    def _open(self, scene: str) -> Iterator[None]:
+        self.doing = f"open {Path(scene).name}"
+        self._session.open(scene)
+        yield from self._until(lambda: self._session.busy is None and self._session.scene.gaussian_count > 0)
+        self._session.clock.playing = False
+
+    def _play(self) -> Iterator[None]:
+        clock = self._session.clock
+        self._do("Play or pause")
+        yield from self._for(3.0)
+        clock.playing = False
+        for share in self._random.random(8):
+            low, high = self._session.span_s
+            clock.seek(low + share * (high - low))
+            yield
+
+    def _look(self) -> Iterator[None]:
+        navigation = self._session.navigation
+        for turn in self._random.uniform(-0.2, 0.2, 12):
+            navigation.heading += float(turn)
+            navigation.position = navigation.position + self._random.uniform(-0.3, 0.3, 3)
+            yield
+        for look in _LOOKS:
+            self._do(f"Look: {look}")
+            yield from self._frames(2)
+        for split in ("clear | rainy", "before | after", "off"):
+            self._session.view.split = split
+            yield from self._frames(2)
+        self._do("Go home")
+        self._session.take_screenshot(self._folder)
+        yield from self._until(lambda: self._session.screenshot is None)
+
+    def _rain(self) -> Iterator[None]:
+        session = self._session
+        self._do(str(self._random.choice(_RATES)))
+        yield from self._frames(3)
+        for rate in np.linspace(0, float(self._random.uniform(2, 30)), 15):  # one drag of the slider, one step of undo
+            session.change_rain("Intensity", "soak", intensity_mm_h=float(rate))
+            yield
+        session.end_gesture()
+        self._do("Keep rain from under roofs")
+        yield from self._until(lambda: session.busy is None)
+        self._do("Keep rain from under roofs")
+        self._do("Let a shower pass")
+        yield from self._frames(3)
+        self._do("Undo")
+
+    def _edit(self) -> Iterator[None]:
+        session = self._session
+        for name in ("Hide the selection", "Delete the selection", "Separate the selection"):
+            chosen = {
+                each.key: Mask.of(self._random.random(len(each.gaussians)) < 0.02) for each in session.scene.members
+            }
+            session.edit("Select", combined, chosen, "set")
+            yield from self._frames(2)
+            self._do(name)
+            yield from self._frames(2)
+        self._do("Invert the selection")
+        yield from self._frames(2)
+        steps = int(self._random.integers(3, 6))
+        for name in [*["Undo"] * steps, *["Redo"] * (steps - 1), "Show all", "Select none"]:
+            self._do(name)
+            yield from self._frames(2)
+
+    def _key(self) -> Iterator[None]:
+        self._do("Circle around the target")
+        yield from self._frames(2)
+        self._do("Ride along")
+        yield from self._frames(3)
+        self._do("Ride along")
+        self._do("Delete camera path")
+        yield
+
+    def _record(self) -> Iterator[None]:
+        session = self._session
+        session.recorder.change(size_px=(192, 128), first_s=0.0, last_s=0.5, codec="auto")
+        session.recorder.record_to(self._folder / str(self._random.choice(["clip.mp4", "frames"])))
+        yield from self._frames(3)  # the question whether to replace
+        if self._random.random() < 0.3:
+            yield from self._for(2.0)
+            self._cancel()
+        yield from self._until(lambda: not session.running_jobs)
+
+    def _jobs(self) -> Iterator[None]:
+        session = self._session
+        session.start(FloaterJob(session.scene, FloaterRules()))
+        yield from self._until(lambda: not session.running_jobs)
+        self._do("Undo")
+        session.rainy.preview(session)
+        yield from self._for(float(self._random.uniform(1, 20)))
+        self._cancel()
+        if session.drives.why_not(session) is None:
+            session.drives.start(session)
+            yield from self._for(float(self._random.uniform(2, 30)))
+            self._cancel()
+            session.drives.close_all(session)
+        session.view.split = "off"
+
+    def _save(self) -> Iterator[None]:
+        session = self._session
+        session.files.save_as(self._folder / "project")
+        yield from self._until(lambda: session.files.busy is None and session.questions.present is None)
+        self._do("Set 8.5 mm/h")
+        yield from self._frames(2)
+        self._do("Save")
+        yield from self._until(lambda: session.files.busy is None)
+        self._do("Revert")
+        yield from self._until(lambda: session.busy is None)
+
+    def _close(self) -> Iterator[None]:
+        session = self._session
+        self._do("Close the scene")
+        yield from self._until(lambda: not session.scene.members)
+        session.clear_jobs()
+        yield from self._until(lambda: not session.is_working and all(each.done() for each in session.pending_files))
+        yield from self._frames(3)
+        self.is_at_rest = True
+        yield
+        self.is_at_rest = False
+
+    # Means
+
+    def _do(self, name: str) -> None:
+        _BY_NAME[name].perform(self._session)
+
+    def _cancel(self) -> None:
+        for job in self._session.running_jobs:
+            job.cancel()
+
+    def _frames(self, count: int) -> Iterator[None]:
+        for _ in range(count):
+            yield
+
+    def _for(self, seconds: float) -> Iterator[None]:
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            yield
+
+    def _until(self, condition: Callable[[], bool]) -> Iterator[None]:
+        """Wait, but not for ever: what does not come is a problem, and the person goes on."""
+        until = time.monotonic() + _PATIENCE_S
+        while not condition():
+            if time.monotonic() > until:
+                waits = f"waited {_PATIENCE_S:g} s in vain"
+                self.problems.append(f"cycle {self.cycles}, {self.doing}: {waits}; busy: {self._session.busy}")
+                return
+            yield

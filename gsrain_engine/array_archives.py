@@ -1,0 +1,57 @@
+"""NumPy archives (.npz) of strangers: sizes are looked at before memory is taken, and nothing in them is run."""
+
+import io
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from .array_header import array_bytes, read_array_header
+
+_MOST_BYTES = 8 << 30
+_SUFFIX = ".npy"
+_KINDS = "fiubU"
+"""Numbers, and the names that they go by."""
+
+_DAMAGES = (
+    ArithmeticError, EOFError, LookupError, MemoryError, NotImplementedError, OSError, RecursionError, RuntimeError,
+    TypeError, ValueError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What zipfile and NumPy raise over damaged archives."""
+
+
+def read_archive(path: Path, most_bytes: int = _MOST_BYTES) -> dict[str, np.ndarray]:
+    """Read all arrays of an archive by their names.
+
+    Raises FileNotFoundError, and ValueError with what is wrong where the archive is damaged, would take more memory
+    than `most_bytes`, says another size than it has, or holds objects.
+    """
+    with path.open("rb") as stream:
+        try:
+            return _arrays(stream, most_bytes)
+        except _DAMAGES as error:
+            words = str(error).strip().splitlines()
+            raise ValueError(words[0] if words else f"it is damaged ({type(error).__name__})") from None
+
+
+def _arrays(stream: io.BufferedReader, most_bytes: int) -> dict[str, np.ndarray]:
+    with zipfile.ZipFile(stream) as archive:
+        members = archive.infolist()
+        if sum(each.file_size for each in members) > most_bytes:
+            raise ValueError(f"it holds more than {most_bytes / 1e9:g} GB")
+        return {each.filename.removesuffix(_SUFFIX): _array(archive, each) for each in members}
+
+
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
+    """Read an array whose header fits how long it is: NumPy takes the memory that a header asks for."""
+    name = member.filename
+    with archive.open(member) as stream:
+        shape, is_fortran, dtype = read_array_header(stream, _KINDS)
+        wanted = array_bytes(shape, dtype)
+        if wanted > member.file_size:
+            raise ValueError(f"{name}: an array of {dtype} {shape} in {member.file_size} bytes")
+        data = stream.read(wanted + 1)
+    if len(data) != wanted:
+        raise ValueError(f"{name}: an array of {dtype} {shape} in {len(data)} bytes")
+    return np.frombuffer(data, dtype).reshape(shape, order="F" if is_fortran else "C").copy()

@@ -1,0 +1,101 @@
+"""An agent from a Python file of one's own: `my_driver.py`, or `my_driver.py:NAME` for one of several in it."""
+
+import importlib.util
+import inspect
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from .agent import Agent
+
+_SUFFIX = ".py"
+_METHODS = ("reset", "plan", "close")
+
+
+def agent_file(name: str) -> Path | None:
+    """Return the file that an agent's name means; None where it is the name of a known one."""
+    place = name.rpartition(":")[0] if ":" in name and not name.endswith(_SUFFIX) else name
+    return Path(place) if place.endswith(_SUFFIX) else None
+
+
+def agent_in_file(name: str, options: Any) -> Agent:
+    """Run a person's file and make the agent in it.
+
+    `FILE.py` has one class with the methods of an agent; `FILE.py:NAME` names a class, or a function that returns an
+    agent. `options` (`AgentOptions`) are given to what takes an argument. Raises ValueError in one sentence.
+    """
+    path = agent_file(name)
+    assert path is not None
+    wanted = name[len(str(path)) + 1 :] if not name.endswith(_SUFFIX) else ""
+    module = _module(path, name)
+    maker = _named(module, name, wanted) if wanted else _only_class(module, name)
+    try:
+        agent = maker(options) if _takes_one(maker) else maker()
+    except Exception as error:  # it is code of others: its words are the reason
+        raise ValueError(f"agent {name}: {error or type(error).__name__}") from error
+    if not isinstance(agent, Agent):
+        raise ValueError(f"agent {name}: {_missing(agent)}")
+    return agent
+
+
+def _module(path: Path, name: str) -> ModuleType:
+    if not path.is_file():
+        raise ValueError(f"agent {name}: no such file")
+    spec = importlib.util.spec_from_file_location(f"gsrain_agent_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise ValueError(f"agent {name}: not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module.__name__] = module  # dataclasses look there
+    folder = str(path.absolute().parent)
+    if folder not in sys.path:
+        sys.path.insert(0, folder)  # files beside it can be imported, as when Python runs it
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise ValueError(f"agent {name}: {_where(error, path)}{error or type(error).__name__}") from error
+    return module
+
+
+def _where(error: BaseException, path: Path) -> str:
+    """Return the last line of the person's own file that an error passed, as "line 12: "."""
+    line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else None
+    trace = error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == str(path.absolute()):
+            line = trace.tb_lineno
+        trace = trace.tb_next
+    return "" if line is None else f"line {line}: "
+
+
+def _only_class(module: ModuleType, name: str) -> Any:
+    own = [each for each in vars(module).values() if inspect.isclass(each) and each.__module__ == module.__name__]
+    found = [each for each in own if all(callable(getattr(each, method, None)) for method in _METHODS)]
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        raise ValueError(f"agent {name}: has no class with the methods {', '.join(_METHODS)}")
+    names = ", ".join(each.__name__ for each in found)
+    raise ValueError(f"agent {name}: has several agents: say which as {name}:NAME, one of {names}")
+
+
+def _named(module: ModuleType, name: str, wanted: str) -> Any:
+    maker = getattr(module, wanted, None)
+    if not callable(maker):
+        raise ValueError(f"agent {name}: has no class or function {wanted}")
+    return maker
+
+
+def _takes_one(maker: Any) -> bool:
+    """Whether something must be given to a class or function, or may be as its first argument without a name."""
+    try:
+        parameters = inspect.signature(maker).parameters.values()
+    except (TypeError, ValueError):
+        return False
+    return any(each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD) for each in parameters)
+
+
+def _missing(agent: object) -> str:
+    absent = [each for each in ("name", "needs", *_METHODS) if not hasattr(agent, each)]
+    kind = type(agent).__name__
+    return f"is a {kind}, which has no {', '.join(absent)}: an agent has name, needs, reset, plan, close"

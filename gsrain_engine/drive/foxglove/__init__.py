@@ -1,0 +1,1 @@
+"""Roll-outs for Foxglove: MCAP files with its messages."""

@@ -1,0 +1,1 @@
+"""Finished drives, played again in their scene."""

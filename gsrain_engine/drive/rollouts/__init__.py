@@ -1,0 +1,1 @@
+"""What happened in a drive, as a value and in files."""

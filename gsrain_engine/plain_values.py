@@ -1,0 +1,150 @@
+"""YAML and JSON of strangers as plain values: limits on size, depth and number come before memory is taken."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from .printable import printable
+
+MOST_BYTES = 1 << 24
+"""Of a file of settings: a scenario with an hour of tracks has a tenth of it."""
+
+_BLOCK_BYTES = 1 << 20
+
+_MOST_DEPTH = 100
+_MOST_VALUES = 300_000
+"""Aliases count as what they stand for."""
+_MOST_DIGITS = 400
+"""Of a whole number; a float has no more than 309 before its point."""
+
+_MOST_SIGNS = 100_000
+"""Of one word or text."""
+_MERGED = "<<"
+_SOURCE = ' in "<byte string>",'
+"""How PyYAML calls what it reads."""
+
+_Parser: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+def read_whole(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
+    """Read a file of at most so many bytes. Raises ValueError with its name where it is larger, OSError."""
+    data = read_at_most(path, most_bytes) if path.stat().st_size <= most_bytes else None
+    if data is None or len(data) > most_bytes:  # it may have grown, or be no file that knows its size
+        raise ValueError(f"{path}: larger than {most_bytes / 1e6:.0f} MB, which no such file needs")
+    return data
+
+
+def read_at_most(path: Path, most_bytes: int) -> bytes:
+    """Read a file to its end, or until there is one byte more than so many. Raises OSError."""
+    parts, size = list[bytes](), 0
+    with path.open("rb") as file:
+        while size <= most_bytes and (part := file.read(min(_BLOCK_BYTES, most_bytes + 1 - size))):
+            parts.append(part)
+            size += len(part)
+    return b"".join(parts)
+
+
+def yaml_values(data: bytes) -> Any:
+    """Return what a YAML document says; raises ValueError, with what is wrong and where, for what can't be settings.
+
+    Those are, beside bad syntax: a field given twice, more than 300 000 values (with aliases as often as they are used)
+    or 100 levels, and everything that YAML could make beyond plain values.
+    """
+    try:
+        _check_events(data)
+        return yaml.load(data, _Loader)
+    except yaml.YAMLError as error:
+        raise ValueError(f"not readable as YAML: {printable(error).replace(_SOURCE, ',')}") from None
+    except ValueError as error:
+        raise ValueError(f"not readable as YAML: {printable(error)}") from None
+    except (ArithmeticError, AttributeError, LookupError, TypeError, RecursionError):
+        # What PyYAML makes of tags before what they can't be, such as `!!int ""`.
+        raise ValueError("not readable as YAML: a tag (!!...) stands before what it can't be") from None
+
+
+def json_values(data: bytes) -> Any:
+    """Return what a JSON document says; raises ValueError for bad syntax, nesting beyond bounds, NaN and infinity."""
+    try:
+        values = json.loads(data)
+    except RecursionError:
+        raise ValueError("not readable as JSON: it is nested too deeply") from None
+    except ValueError as error:
+        raise ValueError(f"not readable as JSON: {printable(error)}") from None
+    check_finite(values)
+    return values
+
+
+def check_finite(values: Any) -> None:
+    """Raise ValueError, with the place, where plain values hold NaN or infinity, or are nested beyond 100 levels."""
+    waiting: list[tuple[str, int, Any]] = [("$", 0, values)]
+    while waiting:
+        place, depth, value = waiting.pop()
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ValueError(f"Expected a finite number, got {value} - at `{printable(place)}`")
+        if isinstance(value, dict | list | tuple) and depth > _MOST_DEPTH:
+            raise ValueError(f"nested more than {_MOST_DEPTH} levels deep")
+        if isinstance(value, dict):
+            items: dict[Any, Any] = value
+            waiting += [(f"{place}.{name}", depth + 1, each) for name, each in items.items()]
+        elif isinstance(value, list | tuple):
+            rows: list[Any] | tuple[Any, ...] = value
+            waiting += [(f"{place}[{number}]", depth + 1, each) for number, each in enumerate(rows)]
+
+
+def _check_events(data: bytes) -> None:
+    """Walk through a document without making anything of it: aliases that multiply and depth end here."""
+    total, opened = 0, list[tuple[str | None, int]]()
+    sizes: dict[str | None, int] = {}
+    for event in yaml.parse(data, _Parser):
+        if isinstance(event, yaml.AliasEvent):
+            if event.anchor in {name for name, _ in opened}:
+                raise ValueError(f"*{event.anchor} stands inside of what it stands for")
+            total += sizes.get(event.anchor, 1)
+        elif isinstance(event, yaml.ScalarEvent):
+            total += 1
+            sizes[event.anchor] = 1
+            if len(event.value) > _MOST_SIGNS:
+                raise ValueError(f"line {event.start_mark.line + 1}: a text of {len(event.value)} signs")
+        elif isinstance(event, yaml.CollectionStartEvent):
+            opened.append((event.anchor, total))
+            total += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = opened.pop()
+            sizes[anchor] = total - before
+        if len(opened) > _MOST_DEPTH:
+            raise ValueError(f"nested more than {_MOST_DEPTH} levels deep")
+        if total > _MOST_VALUES:
+            raise ValueError(f"it holds more than {_MOST_VALUES} values")
+
+
+class _Loader(_Parser):
+    """Plain values only; a field that stands twice is an error, as YAML has it."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        seen = set[str]()
+        for key in (each for each, _ in node.value if isinstance(each, yaml.ScalarNode)):
+            if key.value in seen and key.value != _MERGED:
+                raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} is there twice", key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+    def construct_yaml_int(self, node: Any) -> int:
+        if len(node.value) > _MOST_DIGITS:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"a number of {len(node.value)} digits", node.start_mark
+            )
+        return super().construct_yaml_int(node)
+
+    def construct_yaml_float(self, node: Any) -> float:
+        if len(node.value) > _MOST_DIGITS:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"a number of {len(node.value)} digits", node.start_mark
+            )
+        return super().construct_yaml_float(node)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
+_Loader.add_constructor("tag:yaml.org,2002:float", _Loader.construct_yaml_float)

@@ -1,0 +1,1 @@
+"""What is trained: the parameters of splats and the step that changes them."""

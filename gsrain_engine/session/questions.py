@@ -1,0 +1,25 @@
+"""What a person is asked, one question after the other."""
+
+from .question import Answer, Question
+
+
+class Questions:
+    """A queue. Whoever draws the window shows the first one and hands back what was answered."""
+
+    def __init__(self) -> None:
+        self._waiting: tuple[Question, ...] = ()
+
+    @property
+    def present(self) -> Question | None:
+        """What a person is asked now."""
+        return self._waiting[0] if self._waiting else None
+
+    def ask(self, question: Question) -> None:
+        """Ask a person, after what was asked before; the same is not asked twice at once."""
+        if all((each.title, each.text) != (question.title, question.text) for each in self._waiting):
+            self._waiting = (*self._waiting, question)
+
+    def answer(self, answer: Answer) -> None:
+        """Act on the answer to the present question."""
+        self._waiting = self._waiting[1:]
+        answer.run()

@@ -1,0 +1,179 @@
+"""Rows of the table: scenarios, sweeps, roll-outs, and what other programs answer while they drive."""
+
+import json
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from gsrain_engine.drive.agents.client_error import ClientError
+from gsrain_engine.drive.agents.http_agent import read_plan
+from gsrain_engine.drive.hugsim.reply import read_reply
+from gsrain_engine.drive.metrics.summary import measured
+from gsrain_engine.drive.rollouts.files import read_any_rollout
+from gsrain_engine.drive.rollouts.json_lines import write_rollout
+from gsrain_engine.drive.rollouts.parquet import write_rollout_parquet
+from gsrain_engine.drive.scenario.openscenario.export import write_openscenario
+from gsrain_engine.drive.scenario.scenario_files import load_scenario
+from gsrain_engine.drive.sweeps.row import columns_of, parquet, rows_in
+from gsrain_engine.drive.sweeps.sweep import load_sweep
+from small_rollout import approach
+from small_scene import small_scene
+from tests.drive.hugsim.test_reply import tensor_pickle
+from tests.drive.scenario.test_openscenario import foreign, scenario
+
+from .json_mutations import damaged_json
+from .mutations import damaged_bytes, damaged_text
+from .reader import Reader
+from .settings_readers import assert_finite
+from .yaml_mutations import damaged_yaml
+
+_SHIPPED = Path(__file__).resolve().parents[2] / "sample_configs"
+
+_SCENARIO = """
+name: everybody
+scene: street
+start_s: 1.5
+speed_m_s: 10.0
+keep: [neighbour]
+rain: {intensity_mm_h: 8.5, seed: 3, wind_m_s: [1.0, -2.0], calibration: published}
+vehicle: {length_m: 4.5}
+controller: {kind: pure-pursuit}
+road_users:
+- {id: a, model: van/red, ahead_m: 30.0, speed_m_s: 5.0, behaviour: {kind: constant-velocity}}
+- {id: b, model: truck, size_lwh_m: [8.0, 2.5, 3.0], placed: straight, left_m: 3.5, behaviour: {kind: stationary}}
+- {id: c, ahead_m: 20.0, behaviour: {kind: idm, desired_speed_m_s: 12.0}}
+- {id: d, ahead_m: 25.0, left_m: 3.5, behaviour: {kind: cut-in, gap_m: 12.0, duration_s: 2.0}}
+- {id: e, ahead_m: 45.0, speed_m_s: 9.0, behaviour: {kind: brake, after_s: 2.0, deceleration_m_s2: 4.0}}
+- {id: f, behaviour: {kind: track, points: [{time_s: 1.0, ahead_m: 3.0}, {time_s: 2.0, ahead_m: 8.0, left_m: 1.0}]}}
+- {id: g, behaviour: {kind: replay, rollout: drive.jsonl, user: ego}}
+"""
+_HUGSIM = {
+    "mode": "easy_00", "load_HD_map": False, "start_euler": [0.0, 20.0, 0.0], "start_ab": [1.0, 2.0], "start_velo": 1,
+    "start_steer": 0, "scene_name": "scene-0383", "iteration": 30000,
+    "plan_list": [
+        [2.0, 13.0, -0.3, 0.1, 2.0, "2024_07_05_10_58_02", "ConstantPlanner", {}],
+        [1.0, 23.0, -0.3, 0.1, 2.0, "2024", "UnicyclePlanner", {"uc_id": "6e29", "speed": 0.5}],
+        [0.0, 33.0, -0.3, 3.1, 2.0, "2024", "IDM", {}],
+    ],
+}  # fmt: skip
+
+
+def _read_scenario(path: Path) -> None:
+    assert_finite(load_scenario(path))
+
+
+def _text(name: str, content: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        (folder / name).write_text(content)
+        return folder / name
+
+    return write
+
+
+def _exported(folder: Path) -> Path:
+    write_openscenario(folder / "ours.xosc", scenario(), small_scene())
+    (folder / "ours.xodr").unlink()
+    return folder / "ours.xosc"
+
+
+def _read_rollout(path: Path) -> None:
+    rollout = read_any_rollout(path)
+    assert rollout.steps, "has no moments"
+    assert_finite(rollout)
+    try:
+        with np.errstate(all="ignore"):
+            measured(rollout)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _json_lines(folder: Path) -> Path:
+    write_rollout(folder / "a.jsonl", approach(moments=5))
+    return folder / "a.jsonl"
+
+
+def _damaged_json_lines(data: bytes, chance: Any) -> bytes:
+    lines = data.splitlines(keepends=True)
+    if chance.random() < 0.2:
+        return damaged_text(data, chance)
+    number = chance.randrange(len(lines))
+    lines[number] = damaged_json(lines[number], chance) + b"\n"
+    return b"".join(lines)
+
+
+def _columns(folder: Path) -> Path:
+    write_rollout_parquet(folder / "a.parquet", approach(moments=5))
+    return folder / "a.parquet"
+
+
+def _rows(folder: Path) -> Path:
+    samples = {str: "word", int: 3, float: 0.5, bool: True}
+    row = {name: samples[kind] for name, kind in columns_of("drive").items()}
+    (folder / "row.parquet").write_bytes(parquet([row], "drive"))
+    return folder / "row.parquet"
+
+
+def _read_rows(path: Path) -> None:
+    try:
+        assert isinstance(rows_in(path.read_bytes()), list)
+    except ValueError as error:  # a folder of rows takes a damaged one for missing
+        raise ValueError(f"{path}: {error}") from error.__cause__
+
+
+def _pickles(protocol: int) -> Callable[[Path], Path]:
+    plan = np.arange(12.0).reshape(6, 2)
+
+    def write(folder: Path) -> Path:
+        (folder / "array").write_bytes(pickle.dumps(plan, protocol))
+        (folder / "list").write_bytes(pickle.dumps([[np.float32(x), y] for x, y in plan.tolist()], protocol))
+        (folder / "tensor").write_bytes(tensor_pickle())
+        (folder / "none").write_bytes(pickle.dumps(None, protocol))
+        return folder
+
+    return write
+
+
+def _read_replies(folder: Path) -> None:
+    for file in sorted(each for each in folder.iterdir() if each.is_file()):
+        try:
+            points = read_reply(file.read_bytes())
+        except ClientError as error:
+            raise ClientError(f"{file}: {error}") from error.__cause__
+        assert points is None or (np.isfinite(points).all() and points.shape[1] == 2)
+
+
+_REPLY = {
+    "trajectory": [[2.0, 0.1], [4.0, 0.2], [6.0, 0.3]],
+    "aux_outputs": {"objects_in_bev": [[1.0, 2, 4, 2, 0.1]], "object_classes": ["car"], "object_scores": [0.9]},
+}
+
+
+def _read_http(path: Path) -> None:
+    assert np.isfinite(read_plan(path.read_bytes(), str(path)).points).all()
+
+
+_YAML = (("*.yaml", damaged_yaml),)
+_XML = (("*.xosc", damaged_text),)
+
+DRIVING_READERS = (
+    Reader("scenario", _text("test.yaml", _SCENARIO), _read_scenario, ValueError, _YAML),
+    Reader("hugsim-scenario", _text("test.yaml", yaml.safe_dump(_HUGSIM)), _read_scenario, ValueError, _YAML),
+    Reader("openscenario", _exported, _read_scenario, ValueError, _XML),
+    Reader("openscenario-foreign", foreign, _read_scenario, ValueError, _XML),
+    *(
+        Reader(f"{name}-sweep", _text("sweep.yaml", (_SHIPPED / f"sweeps/{name}.yaml").read_text()),
+               lambda path: assert_finite(load_sweep(path)), ValueError, _YAML)
+        for name in ("paper", "dataset")
+    ),
+    Reader("rollout", _json_lines, _read_rollout, ValueError, (("*.jsonl", _damaged_json_lines),)),
+    Reader("rollout-parquet", _columns, _read_rollout, ValueError, (("*.parquet", damaged_bytes),)),
+    Reader("sweep-row", _rows, _read_rows, ValueError, (("*.parquet", damaged_bytes),)),
+    *(Reader(f"hugsim-reply-{protocol}", _pickles(protocol), _read_replies, ClientError, (("*", damaged_bytes),))
+      for protocol in (0, 2, 5)),
+    Reader("http-reply", _text("reply.json", json.dumps(_REPLY)), _read_http, ClientError, (("*.json", damaged_json),)),
+)  # fmt: skip
+"""What drives are made of, and what looks at it."""

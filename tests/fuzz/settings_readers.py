@@ -1,0 +1,172 @@
+"""Rows of the table: YAML and JSON in which people say what they want, and notes that the program keeps."""
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from app.commands.evaluate.lidar import _sensor as read_sensor
+from gsrain_engine.appearance.finetuning.settings_file import load_finetuning
+from gsrain_engine.appearance.transfer_record import TRANSFER, TransferRecord, read_record, write_record
+from gsrain_engine.datasets.capture import CaptureError
+from gsrain_engine.evaluate.comparison.settings import load_comparison
+from gsrain_engine.evaluate.detection.coco_file import read_coco
+from gsrain_engine.evaluate.detection.description import load_description
+from gsrain_engine.evaluate.lidar.sensor import SENSORS
+from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.rain.presets import load_preset
+from gsrain_engine.rain.rain_state import rain_state
+from gsrain_engine.reconstruct.training.settings import load_settings
+from gsrain_engine.session.files.autosave import Autosave
+from gsrain_engine.session.files.preferences import load_preferences
+from gsrain_engine.session.files.recent_files import recent_files
+from gsrain_engine.shipped_configs import shipped_names
+
+from .json_mutations import damaged_json
+from .reader import Reader
+from .yaml_mutations import damaged_yaml
+
+_SHIPPED = Path(__file__).resolve().parents[2] / "sample_configs"
+
+
+def assert_finite(values: Any) -> None:
+    """Assert that plain values hold no number that is not finite."""
+    waiting = [msgspec.to_builtins(values, enc_hook=str)]
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, float):
+            assert np.isfinite(value), "holds a number that is not finite"
+        elif isinstance(value, dict):
+            waiting += value.values()
+        elif isinstance(value, list | tuple):
+            waiting += value
+
+
+def _settings(
+    name: str, folder: str, shipped: str, load: Callable[[str], Any], then: Callable[[Any], Any] = id
+) -> Reader:
+    """A kind of settings that the program ships samples of."""
+
+    def read(path: Path) -> None:
+        found = load(str(path))
+        assert_finite(found)
+        then(found)
+
+    def write(to: Path) -> Path:
+        assert shipped in shipped_names(folder)
+        (to / "settings.yaml").write_bytes((_SHIPPED / folder / f"{shipped}.yaml").read_bytes())
+        return to / "settings.yaml"
+
+    return Reader(name, write, read, ValueError, (("*.yaml", damaged_yaml),))
+
+
+def _calibrated(calibration: Any) -> None:
+    """Look at the rain that a calibration makes: numbers as they may be, and none that warns."""
+    from gsrain_engine.rain.rain import Rain
+
+    for intensity in (0.0, 0.5, 8.5, 100.0):
+        with np.errstate(all="ignore"):
+            rain_state(Rain(intensity_mm_h=intensity), calibration)
+
+
+def _sensor_file(folder: Path) -> Path:
+    (folder / "sensor.yaml").write_bytes(msgspec.yaml.encode(next(iter(SENSORS.values()))))
+    return folder / "sensor.yaml"
+
+
+def _coco(folder: Path) -> Path:
+    rows = [
+        {"id": k, "image_id": 1 + k % 2, "category_id": 3, "bbox": [1.0, 2.5, 30, 40], "iscrowd": k % 2,
+         "visibility": 0.5, "distance_m": 12.0, "object": f"car-{k}"}
+        for k in range(3)
+    ]  # fmt: skip
+    images = [{"id": k, "file_name": f"{k}.png", "width": 64, "height": 48} for k in (1, 2)]
+    text = json.dumps({"images": images, "annotations": rows, "categories": [{"id": 3, "name": "car"}]})
+    (folder / "labels.json").write_text(text)
+    return folder / "labels.json"
+
+
+def _read_coco(path: Path) -> None:
+    for objects in read_coco(path).values():
+        for each in objects:
+            assert np.isfinite(each.box_xyxy).all(), "has a box that is not finite"
+
+
+def _record(folder: Path) -> Path:
+    write_record(folder, TransferRecord("wet", "street", {"seed": 1, "width_px": 512}, np.diag([2.0, 2, 2, 1])))
+    return folder
+
+
+def _read_record(folder: Path) -> None:
+    record = read_record(folder)
+    assert np.isfinite(record.to_world).all() and record.metres_per_unit > 0
+
+
+@contextmanager
+def _at_home(folder: Path) -> Iterator[None]:
+    """Let preferences and notes lie in a folder."""
+    before = {name: os.environ.get(name) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME")}
+    os.environ.update(dict.fromkeys(before, str(folder)))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _preferences(folder: Path) -> Path:
+    (folder / "gsrain").mkdir()
+    (folder / "gsrain/preferences.yaml").write_text("theme: light\nfont_scale: 1.5\nui_scale: 1.0\nautosave_s: 30\n")
+    return folder
+
+
+def _read_preferences(folder: Path) -> None:
+    with _at_home(folder):
+        preferences, problem = load_preferences()
+    assert_finite(preferences)
+    if problem is not None:
+        raise ValueError(problem)
+
+
+def _notes(folder: Path) -> Path:
+    (folder / "gsrain").mkdir()
+    (folder / "gsrain/recent.json").write_text('{"paths": ["/a/scene", "/b/street.ply"]}')
+    place = folder / ".scene.autosave"
+    (place / "scene").mkdir(parents=True)
+    (place / "scene/scene.json").write_text("{}")
+    about = {"name": "scene", "home": "/a/scene", "stamp": None}
+    (place / "autosave.json").write_text(json.dumps(about))
+    return folder
+
+
+def _read_notes(folder: Path) -> None:
+    """What the program has written for itself: damaged, it is as good as gone, and never an error."""
+    with _at_home(folder):
+        assert all(isinstance(each, Path) for each in recent_files())
+        Autosave().found(folder / ".scene.autosave")
+
+
+SETTINGS_READERS = (
+    _settings("rain", "rain", "paper", load_preset),
+    _settings("calibration", "calibrations", "published", load_calibration, _calibrated),
+    _settings("fitted-calibration", "calibrations", "locarno_2018", load_calibration, _calibrated),
+    _settings("detector-description", "detectors", "nanodet", load_description),
+    _settings("training-settings", "reconstruct", shipped_names("reconstruct")[0], load_settings),
+    _settings("finetuning-settings", "finetune", shipped_names("finetune")[0], load_finetuning),
+    _settings("comparison", "comparisons", shipped_names("comparisons")[0], load_comparison),
+    Reader("lidar-sensor", _sensor_file, lambda path: assert_finite(read_sensor(str(path), None, None)), ValueError,
+           (("*.yaml", damaged_yaml),)),
+    Reader("coco", _coco, _read_coco, ValueError, (("*.json", damaged_json),)),
+    Reader("transfer-record", _record, _read_record, CaptureError, ((TRANSFER, damaged_json),)),
+    Reader("preferences", _preferences, _read_preferences, ValueError, (("preferences.yaml", damaged_yaml),)),
+    Reader("notes", _notes, _read_notes, ValueError, (("recent.json", damaged_json), ("autosave.json", damaged_json))),
+)  # fmt: skip
+"""Settings and notes, and what looks at them."""

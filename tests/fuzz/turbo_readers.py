@@ -1,0 +1,72 @@
+"""Rows of the table: weights of the transfer model, and how far a training has come; torch and diffusers read them."""
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from .containers import inside_zip
+from .mutations import damaged_bytes
+from .reader import Reader
+
+
+def _weights() -> Any:
+    return import_module("gsrain_engine.appearance.cyclegan_turbo.weights")
+
+
+def _models() -> Any:
+    return import_module("tests.appearance.cyclegan_turbo.published_checkpoints")
+
+
+def _published(folder: Path) -> Path:
+    models = _models()
+    import_module("torch").save(models.published(models.trained_model()), folder / "clear2rainy.pkl")
+    return folder / "clear2rainy.pkl"
+
+
+def _own(folder: Path) -> Path:
+    _weights().save_weights(_models().trained_model(), folder / "own.safetensors")
+    return folder / "own.safetensors"
+
+
+def _into_a_model() -> Callable[[Path], None]:
+    model: list[Any] = []
+
+    def read(path: Path) -> None:
+        if not model:
+            model.append(_models().untrained())
+        file = _weights().open_weights(path)
+        assert (
+            file.takes_guides in (True, False)
+            and (file.random_base_seed or 0) >= 0
+            and isinstance(file.architecture, str)
+        )
+        file.delta(model[0])
+
+    return read
+
+
+def _state(folder: Path) -> Path:
+    torch, files = import_module("torch"), import_module("gsrain_engine.appearance.finetuning.checkpoints")
+    files.write_checkpoint(
+        folder / "state.safetensors", files.Checkpoint(3, 1.5, {"a": torch.arange(4.0)}, False), _settings(), "two"
+    )
+    return folder / "state.safetensors"
+
+
+def _read_state(path: Path) -> None:
+    import_module("gsrain_engine.appearance.finetuning.checkpoints").read_checkpoint(path, _settings(), "two", False)
+
+
+def _settings() -> Any:
+    return import_module("gsrain_engine.appearance.finetuning.settings_file").load_finetuning("tiny")
+
+
+_BYTES, _ZIP = (("*", damaged_bytes),), (("*", inside_zip(lambda _: damaged_bytes)),)
+
+TURBO_READERS = (
+    Reader("transfer-published", _published, _into_a_model(), ValueError, _ZIP, tries=15),
+    Reader("transfer-own", _own, _into_a_model(), ValueError, _BYTES, tries=60),
+    Reader("transfer-state", _state, _read_state, ValueError, _BYTES, tries=60),
+)
+"""Transfers, and what looks at them."""

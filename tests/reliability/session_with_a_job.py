@@ -1,0 +1,39 @@
+"""A session in a process of its own that begins a job which never ends by itself, and waits to be killed.
+
+Prints the worker's process, its temporary folder and its shared memory.
+"""
+
+import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from gsrain_engine.scene.progress import Progress
+from gsrain_engine.session.jobs.job_folder import JobFolder
+from gsrain_engine.session.jobs.worker import Job
+
+
+def silent(place: Path) -> Iterator[Progress]:
+    """Work that says something once, and then nothing for hours."""
+    (place / "big").write_bytes(bytes(100_000))
+    yield Progress(0.5, "at it")
+    threading.Event().wait(3600)
+    yield Progress(1.0, "done")
+
+
+def main() -> None:
+    """Do as the module says."""
+    files = ThreadPoolExecutor(max_workers=1)
+    folder = JobFolder(files)
+    place = folder.do(lambda path: path).result()
+    job = Job("Silent", silent, place)
+    while job.progress.message != "at it":
+        job.waitable.poll(60)
+        job.poll()
+    print(job._process.pid, place, job._picture.name, flush=True)
+    sys.stdin.read()
+
+
+if __name__ == "__main__":
+    main()

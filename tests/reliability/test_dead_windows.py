@@ -1,0 +1,90 @@
+"""A window that is killed: its workers end, and what it leaves goes with the next start; that of living ones stays."""
+
+import os
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
+
+import psutil
+import pytest
+
+from gsrain_engine.session.jobs import job_folder
+from gsrain_engine.session.jobs.job_folder import JobFolder, remove_abandoned_folders
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs kill -9 and locks as POSIX has them")
+
+PROGRAM = Path(__file__).with_name("session_with_a_job.py")
+
+
+@pytest.fixture(autouse=True)
+def own_temporary_files(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+
+
+def test_a_killed_window_takes_its_workers_along_and_the_next_one_removes_its_folder(tmp_path):
+    with subprocess.Popen(
+        [sys.executable, PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as window:
+        pid, place, memory = window.stdout.readline().split()
+        worker = psutil.Process(int(pid))
+        remove_abandoned_folders()
+        assert (Path(place) / "big").is_file()  # it lives
+        window.kill()
+    psutil.wait_procs([worker], timeout=20)
+    assert not worker.is_running() or worker.status() == psutil.STATUS_ZOMBIE
+    assert list(tmp_path.iterdir()) == [Path(place)]
+    remove_abandoned_folders()
+    assert not list(tmp_path.iterdir())
+    tracker_is_done = [each for each in psutil.process_iter() if _tracks(each, memory)]
+    psutil.wait_procs(tracker_is_done, timeout=20)
+    with pytest.raises(FileNotFoundError):
+        SharedMemory(memory)
+
+
+def _tracks(process, memory):
+    """Whether a process is the resource tracker of a session that is dead: it frees shared memory, a moment later."""
+    try:
+        return process.ppid() == 1 and "resource_tracker" in " ".join(process.cmdline())
+    except psutil.Error:
+        return False
+
+
+def test_a_job_s_folder_goes_with_it_and_is_nobody_else_s(tmp_path):
+    with ThreadPoolExecutor(max_workers=1) as files:
+        folder = JobFolder(files)
+        place = folder.do(lambda path: path).result()
+        assert place.parent == tmp_path
+        remove_abandoned_folders()
+        assert place.is_dir()
+        folder.remove(None)
+    assert not place.exists()
+
+
+def test_other_folders_and_links_stay(tmp_path):
+    (tmp_path / "gsrain-tests-1").mkdir()
+    (tmp_path / "far").mkdir()
+    (tmp_path / f"{job_folder._PREFIX}link").symlink_to(tmp_path / "far")
+    (tmp_path / f"{job_folder._PREFIX}dead").mkdir()
+    remove_abandoned_folders()
+    assert {each.name for each in tmp_path.iterdir()} == {"gsrain-tests-1", "far", f"{job_folder._PREFIX}link"}
+
+
+def test_a_folder_that_is_removed_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
+    made, mkdtemp = [], tempfile.mkdtemp
+
+    def taken_at_once(prefix):
+        made.append(mkdtemp(prefix=prefix))
+        if len(made) == 1:
+            remove_abandoned_folders()
+        return made[-1]
+
+    monkeypatch.setattr(job_folder.tempfile, "mkdtemp", taken_at_once)
+    with ThreadPoolExecutor(max_workers=1) as files:
+        folder = JobFolder(files)
+        assert folder.do(lambda path: path).result() == Path(made[1])
+        folder.remove(None)
+    assert len(made) == 2 and not list(tmp_path.iterdir())

@@ -1,0 +1,34 @@
+"""A scene that is closed is held by nobody: its memory is free for the next one."""
+
+import gc
+import weakref
+
+import pytest
+
+from gsrain_engine.rain.presets import load_preset
+from gsrain_engine.session.picture.live_view import LiveView
+from gsrain_engine.session.session import Session
+from small_scene import small_scene
+
+SIZE = (96, 64)
+
+
+@pytest.mark.parametrize("backend", ["opengl", "cpu"])
+def test_a_closed_scene_is_free(context, backend):
+    session = Session(small_scene(), load_preset("8.5"))
+    session.clock.playing = False
+    view = LiveView(context, session, backend)
+    session.view.split = "clear | rainy"
+    for _ in range(3):
+        view.draw(*SIZE)
+    session.view.split = "off"
+    view.draw(*SIZE)
+    held = [weakref.ref(each.gaussians.means) for each in session.scene.members]
+    session.files.close_scene()
+    for _ in range(2):
+        view.draw(*SIZE)
+    gc.collect()
+    assert [each() is None for each in held] == [True] * 3
+    assert view._opengl.arrays.mark_count == 0
+    session.files.give_up()
+    session.close()

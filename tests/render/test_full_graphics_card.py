@@ -1,0 +1,97 @@
+"""A graphics card without room: it is said once, and the processor draws."""
+
+import numpy as np
+import pytest
+
+from gsrain_engine.render import gpu_arrays
+from gsrain_engine.render.gpu_memory import reserved
+from gsrain_engine.render.growing_buffer import GrowingBuffer
+from gsrain_engine.session.picture import cpu_picture
+from gsrain_engine.session.picture.live_view import LiveView
+from gsrain_engine.session.session import Session
+from gsrain_engine.session.staged_scene import StagedScene
+from raster.raster_scenes import random_gaussians
+from small_scene import small_scene
+
+SIZE = (96, 64)
+TOO_LARGE = 1 << 46
+
+
+def picture(view):
+    (texture,) = view.draw(*SIZE)
+    return np.frombuffer(texture.read(), np.uint8)
+
+
+def settled_picture(view):
+    """What it shows once the processor draws."""
+    picture(view)
+    if view._cpu is not None:
+        view._cpu.compile()
+        assert view._cpu._compiled.wait(timeout=60)
+    picture(view)
+    return picture(view)
+
+
+def refuse(context, size):
+    raise MemoryError(f"no room for {size}")
+
+
+@pytest.fixture
+def session():
+    opened = Session(small_scene())
+    opened.clock.playing = False
+    yield opened
+    opened.close()
+
+
+@pytest.mark.parametrize("reserve", [reserved, lambda context, size: GrowingBuffer(context).reserve(size, size)])
+def test_what_the_driver_refuses_is_said(context, reserve):
+    with pytest.raises(MemoryError, match=r"the graphics card has no room for 67108864 MiB more"):
+        reserve(context, TOO_LARGE)
+    assert reserved(context, 1024).size == 1024
+
+
+def test_an_upload_that_does_not_fit_leaves_nothing_behind(context, monkeypatch):
+    arrays, made = gpu_arrays.GpuArrays(context), []
+
+    def two_fit(context, size):
+        if len(made) == 2:
+            refuse(context, size)
+        made.append(reserved(context, size))
+        return made[-1]
+
+    monkeypatch.setattr(gpu_arrays, "reserved", two_fit)
+    gaussians = random_gaussians(100)
+    with pytest.raises(MemoryError):
+        list(arrays.upload(gaussians))
+    arrays.release_everything()
+    assert len(made) == 2
+    assert {type(each.mglo).__name__ for each in made} == {"InvalidObject"}
+    assert arrays.missing(gaussians) == 100
+
+
+@pytest.mark.parametrize("change", ["edit", "open"])
+def test_the_processor_goes_on_where_the_card_is_full(context, session, monkeypatch, change):
+    view = LiveView(context, session, "opengl")
+    before = picture(view)
+    monkeypatch.setattr(gpu_arrays, "reserved", refuse)
+    monkeypatch.setattr(cpu_picture, "compile_kernels", lambda: None)  # those that are needed compile as they are
+    scene = session.scene
+    for each in scene.members:
+        g = each.gaussians
+        scene = scene.with_member(each.key, gaussians=g.with_sh((g.sh - np.float32(0.5)).astype(np.float32)))
+    if change == "edit":
+        session.set_scene("Darker", scene)
+    else:
+        session.stage(StagedScene("Darker", scene))
+    after = settled_picture(view)
+    assert session.staged is None
+    assert [each.gaussians for each in session.scene.members] == [each.gaussians for each in scene.members]
+    assert session.problem.startswith("no room for") and session.problem.endswith(": the processor draws from now on")
+    assert session.backend == "cpu"
+    assert not np.array_equal(before, after)
+    assert np.array_equal(after, settled_picture(LiveView(context, session, "cpu")))
+    session.problem = None
+    session.undo()
+    settled_picture(view)
+    assert session.problem is None  # it is said once

@@ -1,0 +1,33 @@
+"""What a name means: the built-in street, or what stands there."""
+
+import pytest
+
+from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.open_scene import is_built_in, open_scene
+from small_scene import small_scene
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_street_is_built_in_unless_a_scene_is_called_so(here):
+    assert is_built_in(None) and is_built_in("street") and not is_built_in("road")
+    write_scene(small_scene("own"), here / "street")
+    assert not is_built_in("street")
+    assert open_scene("street").name == "own"
+
+
+def test_what_the_command_street_writes_does_not_stand_in_the_way(here):
+    write_scene(small_scene("own"), here / "street" / "scene")
+    assert is_built_in("street")
+    assert not is_built_in("street/scene")
+
+
+@pytest.mark.parametrize("file", ["street", "street/meta.json", "street/scene.json"])
+def test_a_file_that_may_be_a_scene_is_looked_at(here, file):
+    (here / file).parent.mkdir(exist_ok=True)
+    (here / file).write_text("{}")
+    assert not is_built_in("street")

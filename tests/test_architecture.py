@@ -1,0 +1,85 @@
+"""The house as it stands: no circle of imports, no file that two nouns live in, every folder in the pictures of it."""
+
+import ast
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("app", "ui", "gsrain_engine")
+MOST_LINES = 400
+LONG = {
+    "THIRD_PARTY_LICENCES.md": "a list, written by packaging/licences.py",
+    "docs/extending.md": "a whole program for each thing that can be added, each of which a test runs",
+}
+"""Files that may be longer, and why."""
+
+
+def modules() -> dict[str, Path]:
+    paths = [path for each in PACKAGES for path in (ROOT / each).rglob("*.py")]
+    return {_dotted(path): path for path in paths}
+
+
+def _dotted(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imported(module: str, path: Path, known: dict[str, Path]) -> Iterator[str]:
+    """Every import of ours: those in functions and those that only type checkers follow too."""
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            yield from (each.name for each in node.names if each.name in known)
+        elif isinstance(node, ast.ImportFrom):
+            package = module.split(".") if path.name == "__init__.py" else module.split(".")[:-1]
+            base = package[: len(package) + 1 - node.level] if node.level else []
+            base = ".".join([*base, *([node.module] if node.module else [])])
+            for each in node.names:
+                yield f"{base}.{each.name}" if f"{base}.{each.name}" in known else base
+
+
+@pytest.fixture(scope="module")
+def imports() -> dict[str, set[str]]:
+    known = modules()
+    return {name: {each for each in imported(name, path, known) if each in known} for name, path in known.items()}
+
+
+def test_no_module_needs_itself(imports):
+    assert circle({name: needed - {name} for name, needed in imports.items()}) is None
+
+
+def test_a_circle_is_seen_through_type_checking_and_functions(tmp_path):
+    (tmp_path / "one.py").write_text("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from .two import Two\n")
+    (tmp_path / "two.py").write_text("def late():\n    from house.one import One\n")
+    known = {f"house.{each}": tmp_path / f"{each}.py" for each in ("one", "two")}
+    found = {name: set(imported(name, path, known)) for name, path in known.items()}
+    assert found == {"house.one": {"typing", "house.two"}, "house.two": {"house.one"}}
+    assert set(circle(found)) == {"house.one", "house.two"}
+
+
+def circle(imports: dict[str, set[str]]) -> list[str] | None:
+    """Modules that need each other, in the order in which they do; None where none do."""
+    try:
+        TopologicalSorter(imports).prepare()
+    except CycleError as error:
+        return error.args[1]
+    return None
+
+
+def test_no_file_is_long_without_a_reason():
+    tops = (*PACKAGES, "tests", "benchmarks", "examples", "docs", "packaging")
+    files = [path for each in tops for path in (ROOT / each).rglob("*.py")]
+    files += [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+    lines = {str(each.relative_to(ROOT)): len(each.read_text(encoding="utf-8").splitlines()) for each in files}
+    assert {name: count for name, count in lines.items() if count > MOST_LINES and name not in LONG} == {}
+
+
+@pytest.mark.parametrize(("page", "written"), [("CONTRIBUTING.md", "{}/"), ("docs/architecture.md", '{}["{}: ')])
+def test_the_pages_about_the_house_name_every_folder_of_it(page, written):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    engine = ROOT / "gsrain_engine"
+    folders = [each.parent.name for top in (engine, engine / "drive") for each in top.glob("*/__init__.py")]
+    assert len(folders) > 20
+    assert [name for name in (*PACKAGES[:2], *folders) if written.format(name, name) not in text] == []

@@ -1,0 +1,113 @@
+"""What the documentation says is there: pages, headings, pictures, commands and their options."""
+
+import importlib.util
+import posixpath
+import re
+
+import pytest
+import yaml
+from cyclopts import CycloptsError, UnknownCommandError, UnknownOptionError
+
+from app.command_line import COMMANDS, app, benchmarks, evaluations
+from conftest import REPOSITORY
+from documentation import PAGES, anchors_of, commands_of, links_of, text_of
+
+OF_EXTENSIONS = {("evaluate", "contrast"), ("evaluate", "NAME")}
+"""Commands that docs/extending.md adds."""
+SITE = yaml.safe_load((REPOSITORY / "mkdocs.yml").read_text(encoding="utf-8"))
+LISTED = [each for page in PAGES for each in commands_of(page)]
+
+
+@pytest.fixture(scope="module")
+def site_pages():
+    spec = importlib.util.spec_from_file_location("site_pages", REPOSITORY / "docs" / "site_pages.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_links_lead_somewhere(page):
+    for link in links_of(page):
+        target, _, anchor = link.partition("#")
+        place = REPOSITORY / (posixpath.normpath(page.parent / target) if target else page)
+        assert place.exists(), f"{page}: {link}"
+        if anchor and place.suffix == ".md":
+            assert anchor in anchors_of(place.relative_to(REPOSITORY)), f"{page}: {link}"
+
+
+def _in_nav(entries):
+    for entry in entries:
+        for each in [entry] if isinstance(entry, str) else entry.values():
+            yield from [each] if isinstance(each, str) else _in_nav(each)
+
+
+def test_every_page_is_in_the_menu_of_the_site(site_pages):
+    in_docs = {str(page.relative_to("docs")) for page in PAGES if page.parts[0] == "docs"}
+    listed = list(_in_nav(SITE["nav"]))
+    assert len(listed) == len(set(listed))
+    assert set(listed) == in_docs | set(site_pages.ELSEWHERE.values()) | {"commands.md"}
+    assert all((REPOSITORY / source).is_file() for source in site_pages.ELSEWHERE)
+
+
+@pytest.mark.parametrize(
+    ("text", "source", "page", "expected"),
+    [
+        ("[a](docs/faq.md#x)", "README.md", "index.md", "[a](faq.md#x)"),
+        ("[a](../README.md)", "docs/faq.md", "faq.md", "[a](index.md)"),
+        ("![a](../images/b.jpg)", "docs/guide/rain.md", "guide/rain.md", "![a](../images/b.jpg)"),
+        ("[a](../../CONTRIBUTING.md#b)", "docs/guide/rain.md", "guide/rain.md", "[a](../contributing.md#b)"),
+        ("[a](https://b.org/c.md)", "README.md", "index.md", "[a](https://b.org/c.md)"),
+        ("[a](#b)", "docs/faq.md", "faq.md", "[a](#b)"),
+    ],
+)
+def test_links_lead_to_where_texts_are_in_the_site(site_pages, text, source, page, expected):
+    assert site_pages.with_site_links(text, source, page) == expected
+
+
+def test_diagrams_are_pictures_and_none_is_of_another_time(site_pages):
+    names = set()
+    for page in PAGES:
+        for source in re.findall(r"^```mermaid\n(.*?)^```$", text_of(page), re.DOTALL | re.MULTILINE):
+            shown = site_pages.with_diagrams(f"```mermaid\n{source}```", "a/b.md")
+            names |= {f"{site_pages.diagram_name(source)}_{scheme}.svg" for scheme in ("light", "dark")}
+            assert shown.count("![Diagram](../images/diagrams/") == 2, f"{page}: make diagrams draws it anew"
+    assert {each.name for each in (REPOSITORY / "docs" / site_pages.DIAGRAMS).iterdir()} == names
+    assert site_pages.with_diagrams("```mermaid\nnew\n```", "a.md") == "```text\nnew\n```"
+
+
+def test_lists_below_text_are_lists_in_the_site(site_pages):
+    from types import SimpleNamespace
+
+    page = SimpleNamespace(file=SimpleNamespace(src_uri="faq.md"))
+    assert site_pages.on_page_markdown("Words:\n* one\n* two\n", page, None, None) == "Words:\n\n* one\n* two\n"
+
+
+def test_the_reference_names_every_command(site_pages):
+    text = site_pages.commands_page()
+    assert text.startswith("# Commands\n\nWhat `gsrain COMMAND --help` says")
+    headings = set(re.findall(r"^#+ (.*)$", text, re.MULTILINE))
+    names = {*COMMANDS, *(f"evaluate {each}" for each in evaluations), *(f"bench {each}" for each in benchmarks)}
+    expected = {f"gsrain {name}" for name in names if "--" not in name and not name.endswith(" -h")}
+    assert expected <= headings | {each.strip("`") for each in headings}
+    assert "--intensities" in text and "[required]" in text and "**Parameters**" not in text
+
+
+def test_there_are_commands_in_the_documentation():
+    used = {each.words[0] for each in LISTED if each.words}
+    assert used >= {*COMMANDS, "evaluate", "bench"}
+    assert sum(each.is_whole for each in LISTED) > 40
+
+
+@pytest.mark.parametrize("name", sorted({each.words[0] if each.words else "" for each in LISTED}))
+def test_commands_of_the_documentation_are_those_of_the_program(name):
+    for command in LISTED:
+        words = command.words
+        if (words[0] if words else "") != name or words[:2] in OF_EXTENSIONS or "--help" in words:
+            continue
+        try:
+            app.parse_args(list(words), exit_on_error=False, print_error=False)
+        except CycloptsError as error:
+            if not command.is_whole and not isinstance(error, UnknownOptionError | UnknownCommandError):
+                continue
+            pytest.fail(f"{command.page}:{command.line}: gsrain {' '.join(words)}: {' '.join(str(error).split())}")

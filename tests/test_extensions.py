@@ -1,0 +1,198 @@
+"""Extensions that can't be used: one sentence with their package, and the program goes on without them."""
+
+import logging
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from app.command_line import BAD_INPUT, run
+from extension_package import installed
+from gsrain_engine import extensions
+from gsrain_engine.appearance.methods import method_names, method_of, open_transfer, usable_methods
+from gsrain_engine.appearance.transfer_settings import TransferSettings
+from gsrain_engine.appearance.wet.picture_surroundings import PictureSurroundings
+from gsrain_engine.datasets.open_capture import capture_format
+from gsrain_engine.evaluate.detection.decoders import Layout, decoded
+from gsrain_engine.evaluate.detection.description import DetectorDescription
+from gsrain_engine.extensions import GROUPS, PANELS, ExtensionError, extension
+from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, read_disdrometer
+from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.scene.formats import read_scene, write_scene
+from small_scene import small_scene
+
+MODULE = """
+import numpy as np
+from gsrain_engine.api import Candidates, CaptureFormat, Decoder, Format, Gaussians, LogFormat, Method
+
+def fails(*anything):
+    raise RuntimeError("the magic smoke has left")
+
+def gaussians(path, mean=0.0):
+    means, ones = np.full((3, 2), mean, np.float32).T, np.ones(2, np.float32)
+    return Gaussians(means, np.ones((2, 3), np.float32), np.full((2, 4), 2, np.float32), ones, means[:, None])
+
+def hollow(path):
+    return gaussians(path, np.nan)
+
+LONG = Format(".long", gaussians, None, "quaternions of length 4, in the order of Fortran")
+HOLLOW = Format(".hollow", hollow, None, "NaN")
+SMOKE = Format(".smoke", fails, fails, "fails")
+NUMBER = Format(".number", lambda path: 3, None, "reads no Gaussians")
+MISNAMED = Format(".other", gaussians, None, "of another suffix")
+WET = Method("wet", "Not ours", "", fails)
+STRANGER = Method("somebody", "Of another name", "", fails)
+UNSET = Method("unset", "Asks for what is not there", "", fails, uses=("strength",))
+OPENS_NUMBER = Method("opens-number", "Opens no transfer", "", lambda settings, surroundings: 3)
+OPENS_NOT = Method("opens-not", "Fails", "", fails)
+LISTS = Decoder(lambda outputs, layout: [])
+BOX, SURE = np.zeros((1, 4), np.float32), np.ones(1, np.float32)
+CLASS_9 = Decoder(lambda outputs, layout: Candidates(BOX, SURE, np.array([9])))
+DOUBTS = LogFormat(lambda lines: lines[0] == "doubt", fails)
+NOTHING = LogFormat(lambda lines: lines[0] == "nothing", lambda path, lines: 3)
+FOLDERS = CaptureFormat("anything", fails, fails)
+"""
+ENTRIES = {
+    "gsrain.scene_formats": {
+        "long": "bad_lab:LONG", "hollow": "bad_lab:HOLLOW", "smoke": "bad_lab:SMOKE", "number": "bad_lab:NUMBER",
+        "misnamed": "bad_lab:MISNAMED", "function": "bad_lab:gaussians", "absent": "no_such_module_of_bad_lab:X",
+        "ply": "bad_lab:SMOKE",
+    },
+    "gsrain.transfers": {
+        "wet": "bad_lab:WET", "stranger": "bad_lab:STRANGER", "unset": "bad_lab:UNSET", "lost": "bad_lab:LOST",
+        "opens-number": "bad_lab:OPENS_NUMBER", "opens-not": "bad_lab:OPENS_NOT",
+    },
+    "gsrain.decoders": {
+        "lists": "bad_lab:LISTS", "class-9": "bad_lab:CLASS_9", "text": "bad_lab:__doc__",
+    },
+    "gsrain.disdrometers": {"doubts": "bad_lab:DOUBTS", "nothing": "bad_lab:NOTHING", "broken": "bad_lab:fails"},
+    "gsrain.evaluations": {
+        "lidar": "bad_lab:fails", "smoke": "bad_lab:fails", "number": "bad_lab:MISNAMED", "gone": "gone:x",
+    },
+    "gsrain.panels": {"smoke": "bad_lab:fails"},
+}  # fmt: skip
+SETTINGS = TransferSettings()
+
+
+@pytest.fixture
+def bad_lab(tmp_path_factory):
+    """A package whose extensions are all unfit but one."""
+    with installed(tmp_path_factory.mktemp("site"), "bad-lab", {"bad_lab.py": MODULE}, ENTRIES):
+        extensions.say_once.cache_clear()
+        yield
+
+
+@pytest.mark.parametrize(
+    ("suffix", "says"),
+    [
+        ("smoke", r"scene format smoke \(bad_lab:SMOKE of bad-lab\): line 6 of bad_lab.py: the magic smoke has left"),
+        ("number", "reads a int, not a Gaussians"),
+        ("misnamed", "its suffix is '.other', its name asks for '.misnamed'"),
+        ("function", "is a function, not a Format"),
+        ("absent", "No module named 'no_such_module_of_bad_lab'"),
+        ("hollow", "2 of 2 Gaussians have a mean that is not a finite number"),
+    ],
+)
+def test_a_format_that_fails_is_named_with_its_package(bad_lab, suffix, says, tmp_path):
+    file = tmp_path / f"scene.{suffix}"
+    file.touch()
+    with pytest.raises(SceneFormatError, match=f"{suffix}: .*{says}"):
+        read_scene(file)
+
+
+def test_what_a_format_reads_is_made_fit_to_draw(bad_lab, tmp_path):
+    (tmp_path / "a.long").touch()
+    found = read_scene(tmp_path / "a.long").layers[0].gaussians
+    assert found.means.flags.c_contiguous and found.quaternions.tolist() == [[0.5] * 4] * 2
+
+
+def test_a_format_that_fails_to_write_leaves_no_file_and_ours_can_not_be_replaced(bad_lab, tmp_path):
+    with pytest.raises(SceneFormatError, match="the magic smoke has left"):
+        write_scene(small_scene(), tmp_path / "scene.smoke")
+    assert list(tmp_path.iterdir()) == []
+    write_scene(small_scene(), tmp_path / "scene.ply")
+    assert read_scene(tmp_path / "scene.ply").gaussian_count > 0
+
+
+def test_methods_that_can_not_be_used_are_left_out_and_said_once(bad_lab, caplog):
+    assert method_names()[:3] == ("wet", "cyclegan-turbo", "images") and method_of("wet").title == "Wet look"
+    with caplog.at_level(logging.WARNING):
+        assert [each.name for each in usable_methods()[3:]] == ["opens-not", "opens-number"]
+        told = sorted(message for message in caplog.messages if message.startswith("transfer "))
+        usable_methods()
+    assert [re.sub(r" \(.*?\)", "", each) for each in told] == [
+        "transfer lost: module 'bad_lab' has no attribute 'LOST'; it is left out",
+        "transfer stranger: calls itself somebody; it is left out",
+        "transfer unset: there is no setting strength of a transfer; it is left out",
+    ]
+    assert len(caplog.messages) == len(told)
+
+
+def test_a_transfer_that_does_not_open_says_so(bad_lab):
+    with pytest.raises(ExtensionError, match="opens-not .*bad-lab.*: the magic smoke has left"):
+        open_transfer("opens-not", SETTINGS, PictureSurroundings())
+    with pytest.raises(ExtensionError, match="opens a int, which has no name or no method transferred"):
+        open_transfer("opens-number", SETTINGS, PictureSurroundings())
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("lists", "gives a list, not a Candidates"),
+        ("class-9", r"names a class that is not within 0\.\.1"),
+        ("text", "is a NoneType, not a Decoder"),
+    ],
+)
+def test_a_decoder_that_gives_something_else_is_named(bad_lab, name, says):
+    layout = Layout(DetectorDescription(decode=name), 2, 64, 64)
+    with pytest.raises(ValueError, match=f"decoder {name} .*bad-lab.*{says}"):
+        decoded([np.zeros((1, 1, 6), np.float32)], layout)
+
+
+def test_logs_that_a_package_fails_on_name_it_and_others_are_as_before(bad_lab, tmp_path, caplog):
+    log = tmp_path / "log.txt"
+    for text, says in (
+        ("doubt", "disdrometer format doubts .*: the magic smoke has left"),
+        ("nothing", "reads a int, not a Reading"),
+        ("whatever", "not a disdrometer file of a kind that is known"),
+    ):
+        log.write_text(f"{text}\nmore\n")
+        with pytest.raises(DisdrometerFileError, match=f"log.txt: .*{says}"):
+            read_disdrometer(log)
+    assert [each for each in caplog.messages if "broken" in each and "not a LogFormat" in each]
+
+
+def test_evaluations_that_can_not_be_used_say_so_when_they_are_asked_for(bad_lab, capsys):
+    assert run(["evaluate", "--help"]) == 0
+    listed = capsys.readouterr().out
+    assert "smoke" in listed and "A lidar in rain" in listed  # ours is not replaced
+    for name, says in (("number", "is a Format, which can't be called"), ("gone", "No module named 'gone'")):
+        assert run(["evaluate", name]) == BAD_INPUT
+        assert capsys.readouterr().err.startswith(f"gsrain: evaluation {name} (") and says in says
+    assert run(["evaluate", "nobody"]) == BAD_INPUT
+
+
+def test_doctor_says_which_can_not_be_used(bad_lab, capsys):
+    run(["doctor"])
+    said = capsys.readouterr().out
+    assert (
+        "broken  scene format absent: " in said and "ok      scene format long: bad_lab:LONG of bad-lab 0.1.0" in said
+    )
+    assert "panel smoke (bad_lab:fails of bad-lab): is a function, not a Panel" in said
+
+
+def test_without_packages_nothing_is_added():
+    assert extension(PANELS, "smoke") is None
+    assert len({group.name for group in GROUPS}) == len(GROUPS)
+    assert method_names() == ("wet", "cyclegan-turbo", "images")
+
+
+def test_a_folder_that_a_package_trips_over_is_still_a_capture(tmp_path, tmp_path_factory, caplog):
+    files = {"worse_lab.py": MODULE}
+    entries = {"gsrain.capture_formats": {"any": "worse_lab:FOLDERS"}}
+    with installed(tmp_path_factory.mktemp("site"), "worse-lab", files, entries), caplog.at_level(logging.WARNING):
+        assert capture_format(tmp_path) is None
+        Image.new("RGB", (8, 8)).save(tmp_path / "one.png")
+        assert capture_format(tmp_path).name == "image folder"
+    assert [each for each in caplog.messages if "capture format any (worse_lab:FOLDERS of worse-lab)" in each]

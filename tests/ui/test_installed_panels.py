@@ -1,0 +1,71 @@
+"""Panels of other packages in the real window: one of docs/extending.md, and one that fails."""
+
+import logging
+
+import pytest
+
+from conftest import REPOSITORY
+from extension_package import installed, titled_blocks
+from window_driver import Driver, imgui
+
+_SULKS = """
+from imgui_bundle import imgui
+from ui.panels.panel import Panel
+
+calls = []
+
+def sulk(session):
+    calls.append(session)
+    imgui.push_id("never popped")
+    imgui.begin_group()
+    imgui.begin_disabled()
+    if len(calls) == 1:
+        raise RuntimeError("not today")
+    imgui.end_disabled()
+    imgui.end_group()
+    imgui.pop_id()
+    imgui.text("better")
+
+PANEL = Panel("Sulks", "left bottom", sulk)
+TAKEN = Panel("Rain", "right", sulk)
+ASIDE = Panel("Aside", "top", sulk)
+"""
+_ENTRIES = {
+    "cloudburst": "rain_lab.cloudburst:PANEL", "sulks": "sulky:PANEL", "taken": "sulky:TAKEN", "aside": "sulky:ASIDE",
+}  # fmt: skip
+
+
+@pytest.fixture
+def packages(tmp_path):
+    page = titled_blocks(REPOSITORY / "docs" / "extending.md")
+    files = {name: text for name, text in page.items() if name == "rain_lab/cloudburst.py"} | {"sulky.py": _SULKS}
+    with installed(tmp_path / "site", "rain-lab", files, {"gsrain.panels": _ENTRIES}):
+        yield
+
+
+def test_panels_of_packages_are_drawn_and_one_that_fails_takes_nothing_with_it(packages, tmp_path, caplog):
+    (tmp_path / "pictures").mkdir()
+    driver = Driver(tmp_path / "pictures")
+
+    def script():
+        driver.click("//Cloudburst/Cloudburst")
+        assert driver.session.rain.intensity_mm_h == 100
+        driver.press(imgui.Key.mod_ctrl | imgui.Key.z)
+        assert driver.session.rain.intensity_mm_h != 100
+        import sulky
+
+        driver.ctx.window_focus("//Sulks")
+        driver.frames(4)
+        assert len(sulky.calls) == 1
+        assert driver.session.problem.endswith("panel sulks (sulky:PANEL of rain-lab): line 13 of sulky.py: not today")
+        driver.click("//Sulks/Try again")
+        driver.frames(4)
+        assert len(sulky.calls) > 2
+        driver.click("//Cloudburst/Cloudburst")  # the window lives on
+        assert driver.session.rain.intensity_mm_h == 100
+
+    with caplog.at_level(logging.WARNING):
+        driver.run(script)
+    told = [each for each in caplog.messages if "left out" in each]
+    assert any("there is a panel 'Rain' already" in each for each in told)
+    assert any("side 'top' is none of left, " in each for each in told)

@@ -1,0 +1,44 @@
+"""File dialogs: who asks says what to do with the answer, which comes in a later frame."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from imgui_bundle import im_file_dialog
+
+Answer = Callable[[list[Path]], None]
+
+SAVED_KINDS = "Scene folders{.*},Scene files{.ply,.splat,.spz}"
+"""What a scene can be saved as."""
+
+_waiting: dict[str, Answer] = {}
+"""By the dialogs' titles; there is one window."""
+
+
+def ask_what_to_open(title: str, kinds: str, answer: Answer, *, several: bool = False) -> None:
+    """Show a dialog for files that exist; `kinds` as in "Scenes{.ply,.spz},All files{.*}"."""
+    _waiting[title] = answer
+    im_file_dialog.FileDialog.instance().open(title, title, kinds, several)
+
+
+def ask_where_to_save(title: str, kinds: str, answer: Answer) -> None:
+    """Show a dialog for a file to write."""
+    _waiting[title] = answer
+    im_file_dialog.FileDialog.instance().save(title, title, kinds)
+
+
+def answer_dialogs() -> None:
+    """Act on dialogs that were closed. Once a frame."""
+    dialogs = im_file_dialog.FileDialog.instance()
+    for title in list(_waiting):
+        if not dialogs.is_done(title):
+            continue
+        answer = _waiting.pop(title)
+        chosen = [_meant(Path(each.path())) for each in dialogs.get_results()] if dialogs.has_result() else []
+        dialogs.close()
+        if chosen:
+            answer(chosen)
+
+
+def _meant(path: Path) -> Path:
+    """What was typed: to a name without a suffix the dialog adds that of the chosen kind, even where it is `.*`."""
+    return path.with_suffix("") if path.suffix == ".*" else path
