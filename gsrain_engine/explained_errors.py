@@ -83,10 +83,10 @@ def _words(around: list[inspect.Type], name: str) -> Iterator[str]:
 def converted(values: Any, kind: Any, **options: Any) -> Any:
     """Return plain values as a type that msgspec knows.
 
-    Raises ValueError with the place and what is allowed there; no setting is NaN or infinity.
+    Raises msgspec.ValidationError (a ValueError) with the place and what may stand there, ValueError for NaN and infinity.
     """
     check_finite(values)
     try:
         return msgspec.convert(values, kind, **options)
     except msgspec.ValidationError as error:
-        raise ValueError(printable(explained(error, kind))) from None
+        raise msgspec.ValidationError(printable(explained(error, kind))) from None

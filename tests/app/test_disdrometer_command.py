@@ -72,7 +72,7 @@ def test_the_seed_is_another_rain_and_the_same_seed_the_same(tmp_path):
         (["--area", "100"], "area 100 m²: must be within 0.0001..72 m²"),
         (["--area", "0"], "area 0 m²: must be within"),
         (["--seconds", "0"], "--seconds 0: must be within 0.001..86400 s"),
-        (["--record", "nan"], "--record nan: must be within"),
+        (["--record", "nan"], '"nan" for --record. Expected a finite number'),
         (["--record", "0.001"], "at most 10000"),
         (["--rain", "101"], "intensity_mm_h"),
         (["--seed", "-1"], "seed"),

@@ -139,7 +139,7 @@ def test_bad_data_sets_end_in_one_line(real, tmp_path, capsys):
     assert "no sequence of 5 frames or more" in said(tmp_path / "short")
     case = real / "a" / "case_000"
     (case / "image" / "image_002.jpg").write_bytes(b"no picture")
-    assert "image_002.jpg: not a readable JPEG" in said(case)
+    assert "image_002.jpg: not a readable picture" in said(case)
     (case / "timestamps.txt").write_text("timestamps,index\n1.0,0\n")
     assert "timestamps.txt: 1 time stamps, expected at least 8" in said(case)
     (case / "context" / "camera_intrinsics.txt").write_text("K_cam:\n1 2 3\n")

@@ -81,5 +81,6 @@ def test_frames_of_a_loop_do_not_show_its_start_twice(path):
 
 
 def test_a_file_that_can_not_be_written_is_told(path, tmp_path):
-    with pytest.raises(OSError):
-        write_nerfstudio_path(tmp_path / "nowhere" / "path.json", path, 10.0)
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(OSError, match="file"):
+        write_nerfstudio_path(tmp_path / "file" / "path.json", path, 10.0)
