@@ -83,7 +83,7 @@ def _words(around: list[inspect.Type], name: str) -> Iterator[str]:
 def converted(values: Any, kind: Any, **options: Any) -> Any:
     """Return plain values as a type that msgspec knows.
 
-    Raises msgspec.ValidationError (a ValueError) with the place and what may stand there, ValueError for NaN and infinity.
+    Raises msgspec.ValidationError (a ValueError) with the place and what is allowed, ValueError for NaN or infinity.
     """
     check_finite(values)
     try:
