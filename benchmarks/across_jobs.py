@@ -43,6 +43,7 @@ def window(folder: Path) -> tuple[float, float]:
     from imgui_bundle import hello_imgui, immapp
 
     from app.window import Window
+    from gsrain_engine.session.picture.cpu_picture import compile_kernels
 
     found: list[tuple[float, float]] = []
 
@@ -68,6 +69,7 @@ def window(folder: Path) -> tuple[float, float]:
     immapp.run(parameters, immapp.AddOnsParams(with_implot=False))
     if shown.failure is not None:
         raise shown.failure
+    compile_kernels()  # the window was closed too soon for it: the next one is to find them
     return found[0]
 
 
