@@ -112,28 +112,30 @@ def _sequence(scene: Any) -> Any:
     return FrameSequence(scene, Rainfall.start(load_preset("8.5")), camera, *SIZE)
 
 
-def _frames(numbers: Callable[[int], int]) -> tuple[float, float]:
+def _frames(chosen: Callable[[Any, int], tuple[Any, int]]) -> tuple[float, float]:
+    """Draw frames of the street in rain; `chosen` says of which sequence each is, and its number there."""
     from gsrain_engine.backends import open_renderer
 
-    sequence = _sequence(_street())
+    street = _sequence(_street())
     with open_renderer("cpu") as renderer:
-        sky = sequence.sky(renderer)
+        sky = street.sky(renderer)
         for number in range(3):
-            sequence.frame(renderer, number, sky)
+            street.frame(renderer, number, sky)
         clock = Clock()
         for count in range(FRAMES):
-            sequence.frame(renderer, numbers(count), sky)
+            sequence, number = chosen(street, count)
+            sequence.frame(renderer, number, sky)
         return clock.seconds(FRAMES)
 
 
 def played(folder: Path) -> tuple[float, float]:
     """Frames of the street in rain, one after the other."""
-    return _frames(lambda count: 3 + count)
+    return _frames(lambda street, count: (street, 3 + count))
 
 
 def scrubbed(folder: Path) -> tuple[float, float]:
     """Frames of the street in rain, from all over its drive."""
-    return _frames(lambda count: count * 97 % 180)
+    return _frames(lambda street, count: (street, count * 97 % 180))
 
 
 def moved_slider(folder: Path) -> tuple[float, float]:
@@ -142,20 +144,13 @@ def moved_slider(folder: Path) -> tuple[float, float]:
 
     from msgspec import structs
 
-    from gsrain_engine.backends import open_renderer
     from gsrain_engine.rain.rainfall import Rainfall
 
-    sequence = _sequence(_street())
-    rain = sequence.rainfall.rain
-    with open_renderer("cpu") as renderer:
-        sky = sequence.sky(renderer)
-        for number in range(3):
-            sequence.frame(renderer, number, sky)
-        clock = Clock()
-        for count in range(FRAMES):
-            falling = Rainfall.start(structs.replace(rain, intensity_mm_h=2.0 + 0.5 * count))
-            replace(sequence, rainfall=falling).frame(renderer, 3, sky)
-        return clock.seconds(FRAMES)
+    def moved(street: Any, count: int) -> tuple[Any, int]:
+        rain = structs.replace(street.rainfall.rain, intensity_mm_h=2.0 + 0.5 * count)
+        return replace(street, rainfall=Rainfall.start(rain)), 3
+
+    return _frames(moved)
 
 
 def recorded(folder: Path, name: str) -> tuple[float, float]:

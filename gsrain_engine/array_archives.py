@@ -14,7 +14,7 @@ _SUFFIX = ".npy"
 _KINDS = "fiubU"
 """Numbers, and the names that they go by."""
 
-_DAMAGES = (
+DAMAGES = (
     ArithmeticError, EOFError, LookupError, MemoryError, NotImplementedError, OSError, RecursionError, RuntimeError,
     TypeError, ValueError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
@@ -30,7 +30,7 @@ def read_archive(path: Path, most_bytes: int = _MOST_BYTES) -> dict[str, np.ndar
     with path.open("rb") as stream:
         try:
             return _arrays(stream, most_bytes)
-        except _DAMAGES as error:
+        except DAMAGES as error:
             words = str(error).strip().splitlines()
             raise ValueError(words[0] if words else f"it is damaged ({type(error).__name__})") from None
 
@@ -40,14 +40,17 @@ def _arrays(stream: io.BufferedReader, most_bytes: int) -> dict[str, np.ndarray]
         members = archive.infolist()
         if sum(each.file_size for each in members) > most_bytes:
             raise ValueError(f"it holds more than {most_bytes / 1e9:g} GB")
-        return {each.filename.removesuffix(_SUFFIX): _array(archive, each) for each in members}
+        return {each.filename.removesuffix(_SUFFIX): read_member(archive, each, _KINDS) for each in members}
 
 
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
-    """Read an array whose header fits how long it is: NumPy takes the memory that a header asks for."""
+def read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, kinds: str = "fiub") -> np.ndarray:
+    """Read an array whose header fits how long it is: NumPy takes the memory that a header asks for.
+
+    Raises ValueError where it does not fit or is of other `kinds`, and what else is in `DAMAGES`.
+    """
     name = member.filename
     with archive.open(member) as stream:
-        shape, is_fortran, dtype = read_array_header(stream, _KINDS)
+        shape, is_fortran, dtype = read_array_header(stream, kinds)
         wanted = array_bytes(shape, dtype)
         if wanted > member.file_size:
             raise ValueError(f"{name}: an array of {dtype} {shape} in {member.file_size} bytes")

@@ -18,7 +18,7 @@ def write_finding(finding: Finding, folder: Path) -> Path:
     file = folder / f"{finding.reader}-{sign:08x}.json"
     if not file.exists():
         packed = base64.b64encode(zlib.compress(finding.content, 9)).decode()
-        row = {"reader": finding.reader, "file": finding.file, "what": finding.what, "content_zlib_base64": packed}
+        row = {"reader": finding.reader, "file": finding.file, "what": _words(finding), "content_zlib_base64": packed}
         file.write_text(json.dumps(row, indent=1) + "\n")
     return file
 
@@ -33,3 +33,8 @@ def read_finding(file: Path) -> Finding:
 def kind_of(finding: Finding) -> str:
     """What was wrong without numbers and names, which differ from file to file."""
     return re.sub(r"'[^']*'|\"[^\"]*\"|/\S+|[-+]?\d[\d.e+-]*", "_", f"{finding.file} {finding.what}"[:160])
+
+
+def _words(finding: Finding) -> str:
+    """What was wrong, without the folder where it was tried."""
+    return re.sub(r"/\S+/", "", finding.what)

@@ -1,4 +1,4 @@
-"""Colours of the timeline and of the path in the picture."""
+"""Colours that the timeline and what is drawn over the picture share."""
 
 from imgui_bundle import ImVec4, imgui
 
