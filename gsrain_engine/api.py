@@ -75,9 +75,6 @@ if TYPE_CHECKING:  # the doubled names say to type checkers that they are for ot
     from .render.still import render_still as render_still
     from .scene.camera import Camera as Camera
     from .scene.camera import look_at as look_at
-    from .scene.camera_path import CameraPath as CameraPath
-    from .scene.camera_path_files import read_camera_path as read_camera_path
-    from .scene.camera_path_files import write_camera_path as write_camera_path
     from .scene.errors import SceneFormatError as SceneFormatError
     from .scene.formats.format import Format as Format
     from .scene.formats.gaussian_files import FORMATS as FORMATS
@@ -87,6 +84,9 @@ if TYPE_CHECKING:  # the doubled names say to type checkers that they are for ot
     from .scene.gaussians import sh_from_color as sh_from_color
     from .scene.members import Layer as Layer
     from .scene.open_scene import open_scene as open_scene
+    from .scene.paths.camera_path import CameraPath as CameraPath
+    from .scene.paths.files import read_camera_path as read_camera_path
+    from .scene.paths.files import write_camera_path as write_camera_path
     from .scene.progress import Progress as Progress
     from .scene.progress import finished as finished
     from .scene.scene import Scene as Scene
@@ -105,9 +105,9 @@ TOPICS: dict[str, dict[str, str]] = {
         "Camera": "scene.camera",
         "look_at": "scene.camera",
         "home_camera": "session.view.home_camera",
-        "CameraPath": "scene.camera_path",
-        "read_camera_path": "scene.camera_path_files",
-        "write_camera_path": "scene.camera_path_files",
+        "CameraPath": "scene.paths.camera_path",
+        "read_camera_path": "scene.paths.files",
+        "write_camera_path": "scene.paths.files",
     },
     "Rain": {
         "Rain": "rain.rain",

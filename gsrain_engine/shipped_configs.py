@@ -4,8 +4,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
-from .explained_errors import converted
-from .plain_values import read_whole, yaml_values
+from .untrusted.explained_errors import converted
+from .untrusted.plain_values import read_whole, yaml_values
 
 _Config = TypeVar("_Config")
 

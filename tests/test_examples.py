@@ -15,9 +15,9 @@ from PIL import Image
 
 from conftest import REPOSITORY
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.scene.camera_path_files import read_camera_path
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.members import Layer
+from gsrain_engine.scene.paths.files import read_camera_path
 from gsrain_engine.scene.track import Track
 from small_scene import patch, small_scene
 

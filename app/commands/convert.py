@@ -5,10 +5,10 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from gsrain_engine.scene.camera_path_files import read_camera_path
 from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.formats.scene_files import names_scene_folder
 from gsrain_engine.scene.open_scene import open_scene
+from gsrain_engine.scene.paths.files import read_camera_path
 from gsrain_engine.scene.wet_colors import with_wetness_baked
 from gsrain_engine.session.edits.ego_drive import drive_along, drive_along_own_path
 from gsrain_engine.session.edits.level import level_from_ground

@@ -19,10 +19,10 @@ from gsrain_engine.render.recording import DEFAULT_SIZE_PX, Recording
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.camera import Camera, read_camera
-from gsrain_engine.scene.camera_path import CameraPath
-from gsrain_engine.scene.camera_path_files import read_camera_path
 from gsrain_engine.scene.objects import scene_objects
 from gsrain_engine.scene.open_scene import open_to_draw
+from gsrain_engine.scene.paths.camera_path import CameraPath
+from gsrain_engine.scene.paths.files import read_camera_path
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.jobs.recorded_project import own_path
 from gsrain_engine.session.view.home_camera import front_camera, home_camera

@@ -11,8 +11,8 @@ from jaxtyping import Float64
 
 from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.datasets.capture_folder import write_world
-from gsrain_engine.plain_values import json_values, read_whole
-from gsrain_engine.printable import printable
+from gsrain_engine.untrusted.plain_values import json_values, read_whole
+from gsrain_engine.untrusted.printable import printable
 
 TRANSFER = "transfer.json"
 _VERSION = 1

@@ -7,9 +7,9 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Shaped, UInt8
 
-from gsrain_engine.printable import printable
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.track import Track
+from gsrain_engine.untrusted.printable import printable
 
 EGO_HEIGHT_M = 1.5
 """Height of the ego frame's origin above the road in captures and scenes: a sensor on a car, as the paper has it."""

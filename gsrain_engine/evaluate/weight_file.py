@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from gsrain_engine.array_archives import read_archive
 from gsrain_engine.datasets.files.safe_pickle import read_pickle
-from gsrain_engine.printable import printable
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.untrusted.array_archives import read_archive
+from gsrain_engine.untrusted.printable import printable
 
 SUFFIXES = (".npz", ".safetensors", ".ckpt", ".pth", ".pt")
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 

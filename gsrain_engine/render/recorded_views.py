@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 
 from .mounted_camera import MountedCamera, mounted_cameras

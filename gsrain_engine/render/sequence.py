@@ -8,7 +8,7 @@ import numpy as np
 
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 
 from .exposure import expose

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .camera_path import CameraPath
+from .paths.camera_path import CameraPath
 from .rotations import normalized, quaternions_from_matrices
 from .scene import RigCamera, Scene
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from gsrain_engine.printable import printable
+from gsrain_engine.untrusted.printable import printable
 
 
 class SceneFormatError(ValueError):

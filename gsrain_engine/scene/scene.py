@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from .camera_path import CameraPath
 from .grading import UNCHANGED
 from .identity import Identity
 from .mask import Mask
 from .members import Actor, Layer, Part
+from .paths.camera_path import CameraPath
 from .track import Track
 
 

@@ -8,7 +8,7 @@ from gsrain_engine.rain.rainfall import OVERCAST, Rainfall
 from gsrain_engine.render.frame import Color
 from gsrain_engine.render.scene_view import Shot
 from gsrain_engine.render.sky_color import Sky
-from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 
 from .drive.chase import Chase

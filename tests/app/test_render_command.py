@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 
 from app.command_line import BAD_INPUT, run
-from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from small_scene import small_scene
 
 

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 
 from gsrain_engine.scene.camera import Camera, read_camera
-from gsrain_engine.scene.camera_path import CameraPath
-from gsrain_engine.scene.camera_path_files import plain_camera_path, read_camera_path
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.formats.gaussian_files import read_gaussians, write_gaussians
@@ -20,6 +18,8 @@ from gsrain_engine.scene.formats.spz import encode_spz
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
+from gsrain_engine.scene.paths.camera_path import CameraPath
+from gsrain_engine.scene.paths.files import plain_camera_path, read_camera_path
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.track import Track
 from tests.scene.formats.sample_gaussians import sample_gaussians

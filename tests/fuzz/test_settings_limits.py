@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from app.command_line import run
-from gsrain_engine.array_archives import read_archive
 from gsrain_engine.drive.agents.client_error import ClientError
 from gsrain_engine.drive.hugsim.reply import read_reply
 from gsrain_engine.drive.rollouts.files import read_any_rollout
@@ -21,11 +20,12 @@ from gsrain_engine.drive.rollouts.parquet import read_rollout_parquet
 from gsrain_engine.drive.scenario.scenario_files import load_scenario
 from gsrain_engine.evaluate.detection.detector import open_detector
 from gsrain_engine.evaluate.weight_file import read_arrays
-from gsrain_engine.plain_values import check_finite, json_values, yaml_values
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, read_disdrometer
 from gsrain_engine.rain.disdrometer.hdf5_trial import passes_trial
 from gsrain_engine.rain.presets import load_preset
+from gsrain_engine.untrusted.array_archives import read_archive
+from gsrain_engine.untrusted.plain_values import check_finite, json_values, yaml_values
 from tests.evaluate.detection.tiny_onnx import NAMES, rows, write_constant
 
 from .reader import limited_memory, limited_time

@@ -14,12 +14,12 @@ from gsrain_engine.drive.scenario.scenario import Scenario
 from gsrain_engine.drive.sweeps.sweep import DriveSweep, RenderSweep
 from gsrain_engine.evaluate.detection.description import DetectorDescription
 from gsrain_engine.evaluate.lidar.sensor import LidarSensor
-from gsrain_engine.explained_errors import converted
 from gsrain_engine.rain.calibration import Calibration
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.weather import Weather
 from gsrain_engine.reconstruct.training.settings import TrainingSettings
 from gsrain_engine.session.files.preferences import Preferences
+from gsrain_engine.untrusted.explained_errors import converted
 
 from .settings_readers import assert_finite
 

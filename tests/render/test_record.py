@@ -26,8 +26,8 @@ from gsrain_engine.render.recording import Recording
 from gsrain_engine.render.scene_view import draw_shot
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.render.splat_renderer import SplatRenderer
-from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.drive_path import drive_path
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 from small_scene import small_scene
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from small_scene import small_scene
 from ui.shortcuts import chord
 from window_driver import Driver, imgui

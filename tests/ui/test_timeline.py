@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.camera_path_files import read_camera_path
+from gsrain_engine.scene.paths.files import read_camera_path
 from gsrain_engine.session.timeline import edits as edits
 from gsrain_engine.session.timeline import path_files as files
 from gsrain_engine.session.view.path_drawing import path_drawing

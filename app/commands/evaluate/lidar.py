@@ -16,9 +16,9 @@ from gsrain_engine.evaluate.lidar.sensor import SENSORS, LidarSensor
 from gsrain_engine.evaluate.lidar.sweep_file import write_sweep
 from gsrain_engine.evaluate.lidar.sweep_in_rain import Answer
 from gsrain_engine.evaluate.lidar.turns import Turn, capture_turns, scene_turns
-from gsrain_engine.explained_errors import converted
-from gsrain_engine.plain_values import read_whole, yaml_values
 from gsrain_engine.scene.content_hash import file_hash, scene_hash
+from gsrain_engine.untrusted.explained_errors import converted
+from gsrain_engine.untrusted.plain_values import read_whole, yaml_values
 
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..outputs import check_writable

@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from gsrain_engine.printable import printable
+from gsrain_engine.untrusted.printable import printable
 
 from .delta import TurboDelta, take_in
 from .diffusers_lora_weights import is_diffusers_lora, read_diffusers_lora

@@ -8,8 +8,8 @@ from typing import Any
 
 import msgspec
 
-from gsrain_engine.printable import printable
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.untrusted.printable import printable
 
 from .settings import FinetuningSettings
 

@@ -5,8 +5,8 @@ from typing import Any, get_type_hints
 
 import msgspec
 
-from gsrain_engine.explained_errors import converted
 from gsrain_engine.shipped_configs import load_values, shipped_names
+from gsrain_engine.untrusted.explained_errors import converted
 
 from .settings import FinetuningSettings
 

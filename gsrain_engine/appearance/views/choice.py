@@ -9,7 +9,7 @@ from msgspec import Meta, Struct
 
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.prepared import prepared
-from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 
 from .placed_camera import PlacedCamera

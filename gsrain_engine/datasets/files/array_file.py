@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from gsrain_engine.array_header import array_bytes, read_array_header
+from gsrain_engine.untrusted.array_header import array_bytes, read_array_header
 
 from ..capture import CaptureError
 from .regular_file import check_regular

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gsrain_engine.array_archives import DAMAGES, read_member
+from gsrain_engine.untrusted.array_archives import DAMAGES, read_member
 
 from ..capture import CaptureError
 from .expansion import check_expansion

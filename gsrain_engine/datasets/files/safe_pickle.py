@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gsrain_engine.printable import printable
+from gsrain_engine.untrusted.printable import printable
 
 from ..capture import CaptureError
 from .pickle_walk import lying_instruction

@@ -5,7 +5,7 @@ from typing import Any
 
 import msgspec
 
-from gsrain_engine.printable import printable
+from gsrain_engine.untrusted.printable import printable
 
 from .agent import Needs, Plan
 from .client_error import ClientError

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float64
 
-from gsrain_engine.printable import printable
+from gsrain_engine.untrusted.printable import printable
 
 from ..agents.client_error import ClientError
 from ..agents.plan_points import plan_points

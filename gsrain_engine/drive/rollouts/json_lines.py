@@ -5,9 +5,9 @@ from typing import Any
 
 import msgspec
 
-from gsrain_engine.plain_values import read_whole
-from gsrain_engine.printable import printable
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.untrusted.plain_values import read_whole
+from gsrain_engine.untrusted.printable import printable
 
 from .rollout import Rollout, RolloutStep
 

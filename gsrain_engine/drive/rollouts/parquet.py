@@ -5,9 +5,9 @@ from typing import Any
 
 import msgspec
 
-from gsrain_engine.explained_errors import converted
-from gsrain_engine.printable import printable
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.untrusted.explained_errors import converted
+from gsrain_engine.untrusted.printable import printable
 
 from .json_lines import check_users
 from .rollout import EgoRecord, Rollout, RolloutStep, UserRecord

@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from gsrain_engine.explained_errors import converted
+from gsrain_engine.untrusted.explained_errors import converted
 
 from ..angles import wrapped_deg
 from ..vehicle.vehicle import HUGSIM_VEHICLE

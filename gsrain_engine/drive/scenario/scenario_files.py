@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from gsrain_engine.explained_errors import converted
-from gsrain_engine.plain_values import read_whole, yaml_values
 from gsrain_engine.shipped_configs import load_config, shipped_names
+from gsrain_engine.untrusted.explained_errors import converted
+from gsrain_engine.untrusted.plain_values import read_whole, yaml_values
 
 from .hugsim_import import hugsim_scenario, is_hugsim_scenario
 from .named_files import named_from_here

@@ -12,9 +12,9 @@ from gsrain_engine.render.record import record
 from gsrain_engine.render.recorded_views import frame_numbers, sequences_of
 from gsrain_engine.scene.atomic_files import whole_folder
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.content_hash import file_hash
 from gsrain_engine.scene.drive_path import drive_path
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 
 from .job import RenderJob

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 from msgspec import inspect
 
-from gsrain_engine.printable import printable
+from gsrain_engine.untrusted.printable import printable
 
 from ..metrics.summary import DriveMetrics
 from .job import DriveJob, Job

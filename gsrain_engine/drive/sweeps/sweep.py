@@ -6,11 +6,11 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from gsrain_engine.backends import Backend
-from gsrain_engine.explained_errors import converted
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.render.objects.label_files import LabelFormat
 from gsrain_engine.render.recording import Recording
 from gsrain_engine.shipped_configs import load_config, shipped_names
+from gsrain_engine.untrusted.explained_errors import converted
 
 from .jitter import Jitter
 

@@ -10,9 +10,9 @@ from gsrain_engine.appearance.finetuning.pictures.settings import PictureSetting
 from gsrain_engine.appearance.methods import method_names
 from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.appearance.views.choice import ViewChoice
-from gsrain_engine.explained_errors import converted
-from gsrain_engine.printable import printable
 from gsrain_engine.shipped_configs import load_values
+from gsrain_engine.untrusted.explained_errors import converted
+from gsrain_engine.untrusted.printable import printable
 
 CLEAR = "clear"
 """The method that changes nothing: how far clear pictures are from rainy ones."""

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from gsrain_engine.plain_values import json_values, read_whole
-from gsrain_engine.printable import printable
+from gsrain_engine.untrusted.plain_values import json_values, read_whole
+from gsrain_engine.untrusted.printable import printable
 
 from .truth import LabelledObject
 

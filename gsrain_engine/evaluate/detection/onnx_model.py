@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from gsrain_engine.printable import printable
+from gsrain_engine.untrusted.printable import printable
 
 THREADS = 2
 """Fixed, so that sums are taken in the same order on every run; what is more goes to pictures side by side."""

@@ -4,8 +4,8 @@ import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from gsrain_engine.plain_values import read_at_most
 from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError
+from gsrain_engine.untrusted.plain_values import read_at_most
 
 LARGEST_FILE = 256 * 2**20
 """Bytes, after inflation: about two months of a Parsivel's minutes as text."""

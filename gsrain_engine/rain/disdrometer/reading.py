@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64, Shaped
 
-from gsrain_engine.printable import printable
 from gsrain_engine.rain.disdrometer.spectra import DropSpectra
+from gsrain_engine.untrusted.printable import printable
 
 
 class DisdrometerFileError(ValueError):

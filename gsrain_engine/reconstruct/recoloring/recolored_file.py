@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from gsrain_engine.array_archives import read_archive
-from gsrain_engine.printable import printable
 from gsrain_engine.scene.atomic_files import whole_file
 from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.untrusted.array_archives import read_archive
+from gsrain_engine.untrusted.printable import printable
 
 _VERSION = 1
 

@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 from jaxtyping import Shaped
 
-from gsrain_engine.array_archives import read_archive
-from gsrain_engine.printable import printable
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.untrusted.array_archives import read_archive
+from gsrain_engine.untrusted.printable import printable
 
 from .settings import TrainingSettings
 

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal, get_type_hints
 import msgspec
 from msgspec import Meta
 
-from gsrain_engine.explained_errors import converted
 from gsrain_engine.shipped_configs import load_values, shipped_names
+from gsrain_engine.untrusted.explained_errors import converted
 
 _FOLDER = "reconstruct"
 

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, View
-from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.members import Layer
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.rotations import quaternions_from_matrices
 from gsrain_engine.scene.scene import RigCamera, Scene, rotation_to_z_up
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from gsrain_engine.array_header import read_array_header
+from gsrain_engine.untrusted.array_header import read_array_header
 
 from ..errors import SceneFormatError
 from .checks import check_finite

@@ -7,9 +7,9 @@ import numpy as np
 from msgspec import Meta
 
 from ..camera import DEFAULT_EXPOSURE_S
-from ..camera_path import CameraPath
-from ..path_curves import Interpolation
-from ..path_easing import Easing
+from ..paths.camera_path import CameraPath
+from ..paths.curves import Interpolation
+from ..paths.easing import Easing
 from .track_record import Quaternion, Vector, unit_quaternions
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
-from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.rotations import quaternions_from_matrices
 from gsrain_engine.scene.scene import RigCamera, Scene
 from gsrain_engine.scene.track import Track

@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from gsrain_engine.explained_errors import converted
-from gsrain_engine.plain_values import read_whole, yaml_values
 from gsrain_engine.scene.atomic_files import whole_file
 from gsrain_engine.scene.file_lock import locked
+from gsrain_engine.untrusted.explained_errors import converted
+from gsrain_engine.untrusted.plain_values import read_whole, yaml_values
 
 from .places import config_folder
 

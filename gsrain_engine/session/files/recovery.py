@@ -7,8 +7,8 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from gsrain_engine.printable import printable
 from gsrain_engine.scene.formats.known_files import KnownFiles
+from gsrain_engine.untrusted.printable import printable
 
 from ..desk import Desk
 from ..history import Document

@@ -12,8 +12,8 @@ from gsrain_engine.rain.saved_rain import rain_of, weather_of
 from gsrain_engine.render.record import record
 from gsrain_engine.render.recorded_views import frame_numbers, sequences_of
 from gsrain_engine.render.recording import DEFAULT_SIZE_PX, Recording
-from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.open_scene import open_to_draw
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 

@@ -14,7 +14,7 @@ from gsrain_engine.render.recorded_views import frame_numbers, sequences_of
 from gsrain_engine.render.recording import Recording
 from gsrain_engine.render.recording_command import recording_command
 from gsrain_engine.render.sequence import FrameSequence
-from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.rotations import quaternions_from_matrices
 from gsrain_engine.scene.scene import Scene
 

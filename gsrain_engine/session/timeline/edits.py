@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.camera_path import CameraPath, circle_path
-from gsrain_engine.scene.path_edits import (
+from gsrain_engine.scene.paths.camera_path import CameraPath, circle_path
+from gsrain_engine.scene.paths.edits import (
     Keyed,
     copied_key,
     key_at,
@@ -19,7 +19,7 @@ from gsrain_engine.scene.path_edits import (
     with_key,
     without_key,
 )
-from gsrain_engine.scene.path_look import LookAngles, look_angles, look_rotation
+from gsrain_engine.scene.paths.look import LookAngles, look_angles, look_rotation
 from gsrain_engine.scene.rotations import matrices_from_quaternions, quaternions_from_matrices
 
 from ..session import Session

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.scene.camera_path import CameraPath
-from gsrain_engine.scene.camera_path_export import write_nerfstudio_path, write_training_cameras
-from gsrain_engine.scene.camera_path_files import read_camera_path, write_camera_path
 from gsrain_engine.scene.drive_path import drive_path
 from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.path_edits import shifted
-from gsrain_engine.scene.path_trajectory import every, simplified, snapped_key
+from gsrain_engine.scene.paths.camera_path import CameraPath
+from gsrain_engine.scene.paths.edits import shifted
+from gsrain_engine.scene.paths.export import write_nerfstudio_path, write_training_cameras
+from gsrain_engine.scene.paths.files import read_camera_path, write_camera_path
+from gsrain_engine.scene.paths.trajectory import every, simplified, snapped_key
 from gsrain_engine.scene.scene import RigCamera
 
 from ..session import Session

@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import NamedTuple
 
-from gsrain_engine.scene.camera_path import CameraPath
-from gsrain_engine.scene.path_speed import PathSpeed
+from gsrain_engine.scene.paths.camera_path import CameraPath
+from gsrain_engine.scene.paths.speed import PathSpeed
 
 from .ruler import Ruler
 

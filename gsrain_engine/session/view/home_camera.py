@@ -5,8 +5,8 @@ from jaxtyping import Float64
 
 from gsrain_engine.scene.bounds import robust_bounds
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.camera_path import CameraPath, orbit_path
 from gsrain_engine.scene.drive_path import drive_path
+from gsrain_engine.scene.paths.camera_path import CameraPath, orbit_path
 from gsrain_engine.scene.scene import RigCamera, Scene
 
 from .navigation import Navigation

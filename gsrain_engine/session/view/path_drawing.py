@@ -9,7 +9,7 @@ from jaxtyping import Float64
 
 from gsrain_engine.render.scene_view import Shot
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.paths.camera_path import CameraPath
 
 from ..session import Session
 from ..timeline.edits import place_key

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float64
 
-from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 
 from .home_camera import default_path

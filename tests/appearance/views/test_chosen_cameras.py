@@ -7,7 +7,7 @@ from gsrain_engine.appearance.views.choice import USUAL_PIXELS, ViewChoice, chos
 from gsrain_engine.appearance.views.sampled_views import EYE_HEIGHT_M
 from gsrain_engine.datasets.capture import Capture, Lens, View
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.camera_path import circle_path, orbit_path
+from gsrain_engine.scene.paths.camera_path import circle_path, orbit_path
 from gsrain_engine.scene.scene import Scene
 from tests.reconstruct.small_street import FORWARD, LEFT, small_street, still_track
 

@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats import read_scene, scene_folder, write_scene
 from gsrain_engine.scene.formats.known_files import KnownFiles
@@ -24,6 +23,7 @@ from gsrain_engine.scene.grading import UNCHANGED, Grading
 from gsrain_engine.scene.marks import UNMARKED, Marks
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Actor, Layer
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.rotations import matrices_from_quaternions, normalized
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.track import Track

@@ -7,7 +7,7 @@ import pytest
 
 from gsrain_engine.drive.road.route import recorded_route
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.edits.ego_drive import RIG, drive_along, drive_along_own_path
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.members import Layer
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.edits.ego_origin import SENSOR_HEIGHT_M, set_ego_start, set_origin
 from gsrain_engine.session.edits.level import find_ground, level_from_ground, level_from_points, set_ground_height

@@ -11,8 +11,8 @@ from PIL import Image
 
 from app.command_line import run
 from gsrain_engine.rain.rain import Rain
-from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.session.files.saved_scene import saved_scene
 from gsrain_engine.session.session import Session
 from small_scene import small_scene

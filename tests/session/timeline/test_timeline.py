@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from gsrain_engine.rain.weather import Weather, WeatherKey
 from gsrain_engine.render.sequence import FrameSequence
-from gsrain_engine.scene.camera_path_files import write_camera_path
-from gsrain_engine.scene.path_edits import shifted
-from gsrain_engine.scene.path_look import LookAngles
+from gsrain_engine.scene.paths.edits import shifted
+from gsrain_engine.scene.paths.files import write_camera_path
+from gsrain_engine.scene.paths.look import LookAngles
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.track import Track
 from gsrain_engine.session.session import Session

@@ -5,10 +5,10 @@ from typing import get_args
 import numpy as np
 from imgui_bundle import ImVec2, imgui
 
-from gsrain_engine.scene.camera_path import CameraPath
-from gsrain_engine.scene.path_curves import Interpolation
-from gsrain_engine.scene.path_easing import Easing
-from gsrain_engine.scene.path_look import LookAngles, focal_length_mm, fov_of_focal_length
+from gsrain_engine.scene.paths.camera_path import CameraPath
+from gsrain_engine.scene.paths.curves import Interpolation
+from gsrain_engine.scene.paths.easing import Easing
+from gsrain_engine.scene.paths.look import LookAngles, focal_length_mm, fov_of_focal_length
 from gsrain_engine.session.session import Session
 from gsrain_engine.session.timeline import edits as edits
 from gsrain_engine.session.timeline.rows import ego_speed_km_h

@@ -6,8 +6,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from gsrain_engine.plain_values import read_whole
-from gsrain_engine.printable import printable
+from gsrain_engine.untrusted.plain_values import read_whole
+from gsrain_engine.untrusted.printable import printable
 
 _MOST = 1e9
 """No length, time, speed or angle of a scenario is more; products of such numbers are finite."""

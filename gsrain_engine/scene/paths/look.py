@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from .rotations import quaternions_from_matrices
+from gsrain_engine.scene.rotations import quaternions_from_matrices
 
 _FILM_HEIGHT_MM = 24.0
 """Of the 35 mm film that focal lengths are compared on."""

@@ -8,10 +8,11 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
-from .camera import DEFAULT_EXPOSURE_S, Camera
-from .path_curves import Interpolation, PathCurves
-from .path_easing import Eased, Easing, eased
-from .rotations import matrices_from_quaternions, quaternions_from_matrices
+from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S, Camera
+from gsrain_engine.scene.rotations import matrices_from_quaternions, quaternions_from_matrices
+
+from .curves import Interpolation, PathCurves
+from .easing import Eased, Easing, eased
 
 _KEYS_OF_A_CIRCLE = 12
 """A spline through so many keys is off the circle by 0.02 % of its radius."""

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.camera_path import CameraPath
-from gsrain_engine.scene.path_look import (
+from gsrain_engine.scene.paths.camera_path import CameraPath
+from gsrain_engine.scene.paths.look import (
     LookAngles,
     focal_length_mm,
     fov_of_focal_length,
@@ -16,8 +16,8 @@ from gsrain_engine.scene.path_look import (
     look_quaternion,
     look_rotation,
 )
-from gsrain_engine.scene.path_speed import PathSpeed
-from gsrain_engine.scene.path_trajectory import every, nearest_moment, simplified, snapped_key
+from gsrain_engine.scene.paths.speed import PathSpeed
+from gsrain_engine.scene.paths.trajectory import every, nearest_moment, simplified, snapped_key
 from gsrain_engine.scene.rotations import matrices_from_quaternions
 
 LEVEL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # looks along +x

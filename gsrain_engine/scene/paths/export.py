@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from .atomic_files import whole_file
-from .camera import Camera
+from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.scene.camera import Camera
+
 from .camera_path import CameraPath
-from .path_edits import key_camera
+from .edits import key_camera
 
 _TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 

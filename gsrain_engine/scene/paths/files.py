@@ -8,13 +8,14 @@ from typing import Any, get_args
 import numpy as np
 from jaxtyping import Float64
 
-from .atomic_files import whole_file
+from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.scene.json_file import read_json
+from gsrain_engine.scene.rotations import normalized, quaternions_from_matrices
+
 from .camera_path import CameraPath
-from .errors import SceneFormatError
-from .json_file import read_json
-from .path_curves import Interpolation
-from .path_easing import Easing
-from .rotations import normalized, quaternions_from_matrices
+from .curves import Interpolation
+from .easing import Easing
 
 VERSION = 2
 """Since 2: interpolation, easing, loop. A path that has none of them is written as version 1, for older readers."""

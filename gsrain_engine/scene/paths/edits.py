@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from .camera import Camera
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.rotations import normalized, quaternions_from_matrices
+
 from .camera_path import CameraPath
-from .rotations import normalized, quaternions_from_matrices
 
 SAME_TIME_S = 0.005
 """Keys as near as this are one key: less than half a frame at 60 frames a second."""

@@ -3,9 +3,10 @@
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from gsrain_engine.scene.rotations import quaternions_from_matrices
+
 from .camera_path import CameraPath
-from .path_edits import placed_key
-from .rotations import quaternions_from_matrices
+from .edits import placed_key
 
 
 def every(path: CameraPath, seconds: float) -> CameraPath:
