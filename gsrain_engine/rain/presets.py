@@ -2,6 +2,7 @@
 
 from gsrain_engine.shipped_configs import load_config, shipped_names
 
+from .calibration import calibration_names
 from .rain import Rain
 
 _FOLDER = "rain"
@@ -17,6 +18,7 @@ def preset_names() -> list[str]:
 def load_preset(name: str) -> Rain:
     """Load a shipped preset by name, or a preset file by path.
 
-    Raises `ValueError` with the file, the field and the allowed range.
+    A calibration file that it names is looked for in its own folder first. Raises `ValueError` with the file, the field
+    and the allowed range.
     """
-    return load_config(_FOLDER, name, Rain, "preset")
+    return load_config(_FOLDER, name, Rain, "preset", ("calibration",), calibration_names())

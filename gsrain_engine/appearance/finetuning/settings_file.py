@@ -11,14 +11,17 @@ from gsrain_engine.untrusted.explained_errors import converted
 from .settings import FinetuningSettings
 
 _FOLDER = "finetune"
+_FILES = ("path", "normals_weights", "normals_checkout", "base", "clip", "lpips", "start")
+"""Fields that name files."""
 
 
 def load_finetuning(name: str | Path, **changes: Any) -> FinetuningSettings:
     """Read settings, and change some; changes that are None are passed over.
 
-    Raises ValueError with the file or option, the field and what is allowed.
+    Files that it names are looked for in its own folder first, then in the working folder. Raises ValueError with the
+    file or option, the field and what is allowed.
     """
-    values = load_values(_FOLDER, name, "settings")
+    values = load_values(_FOLDER, name, "settings", _FILES)
     changed = {key: value for key, value in changes.items() if value is not None}
     if isinstance(pictures := values.get("pictures", {}), dict):
         sources = {look: changed.pop(look) for look in ("clear", "rainy") if look in changed}

@@ -2,12 +2,14 @@
 
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import msgspec
 
 from gsrain_engine.rain.calibration import calibration_names
 from gsrain_engine.scene.open_scene import STREET
+from gsrain_engine.shipped_configs import standing_beside
 
 from ..traffic.built_in_vehicles import vehicle_names
 from ..traffic.models import ACTOR
@@ -22,12 +24,7 @@ def named_from_here(scenario: Scenario, folder: Path) -> Scenario:
 
     A name counts from the scenario's folder; where nothing stands there it stays what it is.
     """
-
-    def here(name: str) -> str:
-        there = Path(os.path.normpath(folder / name))
-        return str(there) if there.exists() else name
-
-    return _renamed(scenario, here)
+    return _renamed(scenario, partial(standing_beside, folder))
 
 
 def named_from_folder(scenario: Scenario, folder: Path) -> Scenario:

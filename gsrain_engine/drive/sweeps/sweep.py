@@ -6,15 +6,22 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from gsrain_engine.backends import Backend
+from gsrain_engine.evaluate.detection.description import description_names
+from gsrain_engine.rain.calibration import calibration_names
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.render.objects.label_files import LabelFormat
 from gsrain_engine.render.recording import Recording
+from gsrain_engine.scene.open_scene import STREET
 from gsrain_engine.shipped_configs import load_config, shipped_names
 from gsrain_engine.untrusted.explained_errors import converted
 
+from ..agents.registry import agent_names
+from ..scenario.scenario_files import scenario_names
 from .jitter import Jitter
 
 _FOLDER = "sweeps"
+_FILES = ("scenarios", "scenes", "agents", "name", "detector", "description", "calibration")
+"""Fields that name files; `name` is an agent's."""
 
 Intensity = Annotated[float, Meta(ge=0, le=100)]
 Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
@@ -108,9 +115,11 @@ def sweep_names() -> list[str]:
 def load_sweep(name: str | Path) -> Sweep:
     """Load a shipped sweep by name, or a sweep file by path.
 
-    Raises ValueError with the file, the field and what is allowed.
+    Files that it names are looked for in its own folder first, then in the working folder; `output` counts from the
+    latter. Raises ValueError with the file, the field and what is allowed.
     """
-    values = load_config(_FOLDER, name, object, "sweep")
+    known = {STREET, *scenario_names(), *agent_names(), *description_names(), *calibration_names()}
+    values = load_config(_FOLDER, name, object, "sweep", _FILES, known)
     try:
         return converted(values, Sweep)
     except ValueError as error:

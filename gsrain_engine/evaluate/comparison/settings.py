@@ -10,6 +10,7 @@ from gsrain_engine.appearance.finetuning.pictures.settings import PictureSetting
 from gsrain_engine.appearance.methods import method_names
 from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.appearance.views.choice import ViewChoice
+from gsrain_engine.scene.open_scene import STREET
 from gsrain_engine.shipped_configs import load_values
 from gsrain_engine.untrusted.explained_errors import converted
 from gsrain_engine.untrusted.printable import printable
@@ -22,6 +23,12 @@ SHIPPED = "comparisons"
 
 USUAL_WIDTH_PX = 512
 """Of all pictures where nothing is said: the paper's."""
+
+_FILES = (
+    *("source", "capture", "real", "path", "extractor_weights"),
+    *("weights", "images", "base", "normals_weights", "normals_checkout"),
+)
+"""Fields that name files."""
 
 _FIELDS = TransferSettings.__struct_fields__
 
@@ -98,9 +105,10 @@ class Comparison(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 def load_comparison(name: str | Path) -> Comparison:
     """Read a comparison from a file, or a shipped one by its name.
 
-    Raises ValueError, which names the file, the field, and what would be right.
+    Files that it names are looked for in its own folder first, then in the working folder. Raises ValueError, which
+    names the file, the field, and what would be right.
     """
-    values = load_values(SHIPPED, name, "comparison")
+    values = load_values(SHIPPED, name, "comparison", _FILES, {STREET})
     try:
         comparison = converted(values, Comparison, dec_hook=_path)
     except ValueError as error:
