@@ -5,6 +5,7 @@ import os
 import pickle
 import shutil
 import stat
+import sys
 import tempfile
 import time
 from collections.abc import Iterable
@@ -13,6 +14,12 @@ from importlib import metadata
 from pathlib import Path
 
 import platformdirs
+
+_HERE = Path(__file__).parent
+_SOURCES = _HERE / "raster", _HERE / "rain"
+"""Where kernels call those of other files."""
+_FRAME_SOURCES = *_SOURCES, _HERE / "scene"
+"""Where all kernels of a frame are."""
 
 _KEPT = 2
 _UNUSED_S = 3600.0
@@ -29,19 +36,26 @@ def use_kernel_cache() -> None:
     root = Path(platformdirs.user_cache_dir("gsrain", appauthor=False)) / "numba"
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     if chosen is None or Path(chosen).parent == root:
-        here = Path(__file__).parent
-        version, sources = metadata.version("gsrain"), [here / "raster", here / "rain"]
-        folder = kernel_cache(root, version, sources)
+        version = metadata.version("gsrain")
+        folder = kernel_cache(root, version, _SOURCES)
         if not _has_room(folder) and (other := _temporary_root()) is not None:
-            folder = kernel_cache(other, version, sources)
+            folder = kernel_cache(other, version, _SOURCES)
         _remove_torn(folder)
         os.environ["NUMBA_CACHE_DIR"] = str(folder)
 
 
 def has_kernels() -> bool:
-    """Whether kernels have been compiled into the cache folder before, so that loading them takes no second."""
-    folder = os.environ.get("NUMBA_CACHE_DIR")
-    return folder is not None and any(Path(folder).rglob("*.nbi"))
+    """Whether all kernels of a frame have been compiled into the cache folder, so that loading them takes no second."""
+    mark = _mark()
+    return mark is not None and mark.is_file()
+
+
+def mark_kernels() -> None:
+    """Keep beside the kernels that all of a frame's are there; where the disk can't be written, nothing is kept."""
+    mark = _mark()
+    if mark is not None:
+        with suppress(OSError):
+            mark.touch()
 
 
 def kernel_cache(root: Path, version: str, sources: Iterable[Path]) -> Path:
@@ -58,6 +72,17 @@ def kernel_cache(root: Path, version: str, sources: Iterable[Path]) -> Path:
         os.utime(folder)
         _remove_old(root)
     return folder
+
+
+def _mark() -> Path | None:
+    """File that stands for all kernels of a frame as Numba would find them: for another processor it compiles anew."""
+    from llvmlite import binding  # with Numba, whose first import has to come after this module's
+
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    if folder is None:
+        return None
+    versions = f"{metadata.version('gsrain')} {metadata.version('numba')} {sys.implementation.cache_tag}"
+    return Path(folder) / f"{_key(f'{versions} {binding.get_host_cpu_name()}', _FRAME_SOURCES)}.complete"
 
 
 def _has_room(folder: Path) -> bool:
@@ -90,6 +115,8 @@ def _remove_torn(folder: Path) -> None:
             opened.seek(max(0, file.stat().st_size - 1))
             if opened.read(1) != pickle.STOP:
                 file.unlink(missing_ok=True)
+                for mark in folder.glob("*.complete"):
+                    mark.unlink(missing_ok=True)
 
 
 def _key(version: str, sources: Iterable[Path]) -> str:

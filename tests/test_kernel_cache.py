@@ -7,9 +7,11 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from llvmlite import binding
 
 from gsrain_engine import kernel_cache as cache
-from gsrain_engine.kernel_cache import has_kernels, kernel_cache, use_kernel_cache
+from gsrain_engine.kernel_cache import has_kernels, kernel_cache, mark_kernels, use_kernel_cache
+from gsrain_engine.session.picture.cpu_picture import compile_kernels
 
 
 @pytest.fixture
@@ -117,12 +119,38 @@ def test_a_users_own_folder_stays_and_a_parents_is_looked_up_again(tmp_path):
     assert cache_folder(XDG_CACHE_HOME=cache, NUMBA_CACHE_DIR=stale) == own
 
 
-def test_knows_whether_kernels_have_been_compiled(tmp_path, monkeypatch):
+def test_knows_whether_all_kernels_have_been_compiled(tmp_path, sources, monkeypatch):
+    monkeypatch.setattr(cache, "_FRAME_SOURCES", (sources,))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    mark_kernels()
+    assert not has_kernels()  # Numba keeps them where it likes
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert not has_kernels()
     (tmp_path / "raster_1").mkdir()
     (tmp_path / "raster_1" / "tiles._count.nbi").touch()
+    assert not has_kernels()  # one is not all
+    mark_kernels()
     assert has_kernels()
+    monkeypatch.setattr(binding, "get_host_cpu_name", lambda: "another")
+    assert not has_kernels()
+
+
+def test_a_frames_kernels_are_marked_once_they_are_compiled(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert not has_kernels()
+    compile_kernels()
+    assert has_kernels()
+
+
+def test_kernels_of_other_sources_are_not_these(tmp_path, sources, monkeypatch):
+    monkeypatch.setattr(cache, "_FRAME_SOURCES", (sources,))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    mark_kernels()
+    (sources / "a.py").write_text("x = 10\n")
+    assert not has_kernels()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "cache"))
+    (tmp_path / "file").touch()
+    mark_kernels()
+    assert not has_kernels()
 
 
 @pytest.fixture
@@ -166,5 +194,7 @@ def test_what_a_power_cut_has_torn_is_compiled_again(own_places, torn):
     folder.mkdir()
     for name, data in {"whole.nbi": b"\x80\x04N.", "torn.nbi": torn, "torn.1.nbc": torn, "notes.txt": b""}.items():
         (folder / name).write_bytes(data)
+    mark_kernels()
     chosen()
     assert sorted(each.name for each in folder.iterdir()) == ["notes.txt", "whole.nbi"]
+    assert not has_kernels()

@@ -7,6 +7,7 @@ from typing import get_args
 import moderngl
 import numpy as np
 
+from gsrain_engine.kernel_cache import mark_kernels
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import Rainfall, View
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
@@ -80,6 +81,7 @@ def compile_kernels() -> None:
     put_into_drawing_order(one)
     for look in get_args(Look):
         renderer.draw(parts, camera, look=look)
+    mark_kernels()
 
 
 def _balls(count: int) -> Gaussians:
