@@ -44,6 +44,8 @@ def on_files(files: Any, config: Any) -> Any:
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     """Lead links to where texts are in the site, and put pictures in the place of diagrams."""
     here = page.file.src_uri
+    if here == "index.md":
+        page.meta["hide"] = ["navigation"]  # it would hold this one page
     source = next((each for each, name in ELSEWHERE.items() if name == here), f"docs/{here}")
     spaced = _LIST_BELOW_TEXT.sub(r"\1\n\n", markdown)  # GitHub needs no empty line before a list, Python-Markdown does
     return with_diagrams(with_site_links(spaced, source, here), here)
