@@ -9,7 +9,7 @@ from pathlib import Path
 import psutil
 
 from gsrain_engine.scene.atomic_files import whole_file
-from gsrain_engine.session.files.places import config_folder, state_folder
+from gsrain_engine.session.preferences.places import config_folder, state_folder
 
 
 @contextmanager

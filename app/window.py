@@ -14,7 +14,7 @@ import moderngl
 from imgui_bundle import glfw_utils
 
 from gsrain_engine.drive.rollouts.files import ROLLOUT_SUFFIXES
-from gsrain_engine.session.files.preferences import load_preferences
+from gsrain_engine.session.preferences.preferences import load_preferences
 from ui.style import apply_style
 
 from .layout_file import own_layout

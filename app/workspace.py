@@ -8,12 +8,12 @@ import moderngl
 from imgui_bundle import hello_imgui, imgui
 
 from gsrain_engine.rain.rain import Rain
-from gsrain_engine.session.capture.capture_textures import CaptureTextures
-from gsrain_engine.session.drive.mosaic_pictures import MosaicPictures
 from gsrain_engine.session.jobs.job_folder import remove_abandoned_folders
-from gsrain_engine.session.jobs.job_previews import JobPreviews
+from gsrain_engine.session.picture.capture_textures import CaptureTextures
+from gsrain_engine.session.picture.job_previews import JobPreviews
 from gsrain_engine.session.picture.kept_texture import KeptTexture
 from gsrain_engine.session.picture.live_view import LiveView
+from gsrain_engine.session.picture.mosaic_pictures import MosaicPictures
 from gsrain_engine.session.session import Session, WindowBackend
 from gsrain_engine.session.timeline.clock import Pace
 from ui.action_keys import act_on_keys

@@ -22,9 +22,9 @@ from gsrain_engine.render.machine import machine
 from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE
 from gsrain_engine.scene.random_scene import random_scene, random_scene_camera
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.session.document.staged_scene import StagedScene
 from gsrain_engine.session.picture.live_view import LiveView
 from gsrain_engine.session.session import Session, WindowBackend
-from gsrain_engine.session.staged_scene import StagedScene
 
 _BEFORE, _AFTER = 15, 12
 """Frames before each swap, and after it."""

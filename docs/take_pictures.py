@@ -16,8 +16,8 @@ from app.window import Window
 from gsrain_engine.kernel_cache import use_kernel_cache
 from gsrain_engine.rain.weather import passing_shower
 from gsrain_engine.scene.open_scene import open_scene
+from gsrain_engine.session.camera_path.files import path_from_drive
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.timeline.path_files import path_from_drive
 from ui.panels.table import PANELS
 from ui.shortcuts import chord
 from ui.tools import TOOLS

@@ -2,7 +2,7 @@
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
-from gsrain_engine.session.files.preferences import Preferences
+from gsrain_engine.session.preferences.preferences import Preferences
 
 _THEMES = {
     "dark": hello_imgui.ImGuiTheme_.darcula_darker,

@@ -24,7 +24,7 @@ from gsrain_engine.scene.open_scene import open_to_draw
 from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.paths.files import read_camera_path
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.jobs.recorded_project import own_path
+from gsrain_engine.session.recording.recorded_project import own_path
 from gsrain_engine.session.view.home_camera import front_camera, home_camera
 
 from .arguments import JsonFile, parse_size, write_numbers

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from gsrain_engine.appearance.finetuning.settings_file import finetuning_help, finetuning_names, load_finetuning
 from gsrain_engine.appearance.finetuning.task import TrainingResult, TrainingTask
-from gsrain_engine.session.jobs.transfer_training_work import train_transfer as work
+from gsrain_engine.session.appearance.transfer_training_work import train_transfer as work
 
 from .arguments import JsonFile, write_numbers
 from .outputs import check_writable

@@ -8,13 +8,13 @@ from gsrain_engine.rain.rain import Rain
 from gsrain_engine.scene.scene import Scene
 
 from .capture.capture_view import CaptureView
-from .files.kept_preferences import KeptPreferences
-from .files.preferences import Preferences
-from .jobs.background_job import BackgroundJob, JobPreview
+from .document.viewed_document import ViewedDocument
+from .jobs.background_job import BackgroundJob
 from .log import told
-from .question import Answer, Question, nothing
-from .questions import Questions
-from .viewed_document import ViewedDocument
+from .preferences.kept_preferences import KeptPreferences
+from .preferences.preferences import Preferences
+from .questions import Answer, Question, Questions, nothing
+from .view.texture import Texture
 
 
 class Desk(ViewedDocument):
@@ -25,7 +25,7 @@ class Desk(ViewedDocument):
         super().__init__(scene, rain)
         self.jobs: list[BackgroundJob] = []
         """Those that run and those that have ended, in the order of their start, until a person clears them."""
-        self.previews: dict[BackgroundJob, JobPreview] = {}
+        self.previews: dict[BackgroundJob, Texture] = {}
         """What running jobs show of their work."""
         self.statistics: dict[str, float] = {}
         """Figures of the last frame, by name: the Statistics panel shows them in this order."""

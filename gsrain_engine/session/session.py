@@ -15,30 +15,30 @@ from gsrain_engine.rain.saved_rain import rain_of, weather_of
 from gsrain_engine.rain.weather import WITHOUT_CHANGE, Weather
 from gsrain_engine.scene.scene import Scene
 
-from .arrival import bring_in
+from .appearance.rainy_look import RainyLook
+from .appearance.transfer_studio import TransferStudio
+from .appearance.transfer_training import TransferTraining
 from .desk import Desk
+from .document.arrival import bring_in
+from .document.document import Document
+from .document.history import History
 from .drive.drives import Drives
 from .files.kept_view import look_again
 from .files.opened import Opened
 from .files.scene_files import SceneFiles
-from .history import Document, History
-from .jobs.recorder import Recorder
-from .jobs.recording_job import RecordingJob
+from .files.screenshot_name import new_screenshot
 from .jobs.scene_job import SceneJob, SceneTask
-from .jobs.transfer_training import TransferTraining
 from .log import LogLines
 from .matching.matching_view import MatchingView
-from .picture.interaction_budget import EXACT, Detail, InteractionBudget
-from .picture.roof_search import RoofSearch
-from .picture.screenshot_name import new_screenshot
-from .picture.side import Side
-from .picture.sky_pick import SkyPick
-from .rain_lab import RainLab
-from .rainy.rainy_look import RainyLook
-from .rainy.transfer_studio import TransferStudio
+from .rain.rain_lab import RainLab
+from .rain.roof_search import RoofSearch
+from .rain.shower_view import ShowerView
+from .recording.recorder import Recorder
+from .recording.recording_job import RecordingJob
 from .selection.options import SelectionOptions
-from .timeline.rows import content_span
-from .timeline.shower_view import ShowerView
+from .view.interaction_budget import EXACT, Detail, InteractionBudget
+from .view.side import Side
+from .view.sky_pick import SkyPick
 
 logger = logging.getLogger("gsrain")
 
@@ -225,7 +225,7 @@ class Session(Desk):
     @property
     def span_s(self) -> tuple[float, float]:
         """First and last moment that play: as a person has set them, else those of the flight or the traffic."""
-        return self.clock.span_s or self.drives.span_s() or content_span(self.scene, self.weather)
+        return self.clock.span_s or self.drives.span_s() or super().span_s
 
     def take_screenshot(self, folder: Path | None = None) -> None:
         """Save the next picture under the present date and time, by default in the person's pictures folder."""

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from app.layout_file import own_layout
-from gsrain_engine.session.files.places import config_folder, state_folder
+from gsrain_engine.session.preferences.places import config_folder, state_folder
 
 
 @pytest.fixture(autouse=True)

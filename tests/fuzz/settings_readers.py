@@ -23,8 +23,8 @@ from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain_state import rain_state
 from gsrain_engine.reconstruct.training.settings import load_settings
 from gsrain_engine.session.files.autosave import Autosave
-from gsrain_engine.session.files.preferences import load_preferences
 from gsrain_engine.session.files.recent_files import recent_files
+from gsrain_engine.session.preferences.preferences import load_preferences
 from gsrain_engine.shipped_configs import shipped_names
 
 from .json_mutations import damaged_json

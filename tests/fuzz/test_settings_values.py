@@ -18,7 +18,7 @@ from gsrain_engine.rain.calibration import Calibration
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.weather import Weather
 from gsrain_engine.reconstruct.training.settings import TrainingSettings
-from gsrain_engine.session.files.preferences import Preferences
+from gsrain_engine.session.preferences.preferences import Preferences
 from gsrain_engine.untrusted.explained_errors import converted
 
 from .settings_readers import assert_finite

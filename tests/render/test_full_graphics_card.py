@@ -6,10 +6,10 @@ import pytest
 from gsrain_engine.render import gpu_arrays
 from gsrain_engine.render.gpu_memory import reserved
 from gsrain_engine.render.growing_buffer import GrowingBuffer
+from gsrain_engine.session.document.staged_scene import StagedScene
 from gsrain_engine.session.picture import cpu_picture
 from gsrain_engine.session.picture.live_view import LiveView
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.staged_scene import StagedScene
 from raster.raster_scenes import random_gaussians
 from small_scene import small_scene
 

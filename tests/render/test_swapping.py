@@ -13,11 +13,11 @@ from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Part
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.session.document.staged_scene import StagedScene
 from gsrain_engine.session.picture import live_view, sky_watch
 from gsrain_engine.session.picture.live_view import LiveView
 from gsrain_engine.session.picture.sky_watch import SkyWatch
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.staged_scene import StagedScene
 from raster.raster_scenes import random_gaussians, small_camera
 from small_scene import small_scene
 

@@ -18,10 +18,10 @@ from gsrain_engine.render.splat_renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.wet_colors import with_wetness_baked
+from gsrain_engine.session.document.staged_scene import StagedScene
 from gsrain_engine.session.picture import live_view
 from gsrain_engine.session.picture.live_view import LiveView
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.staged_scene import StagedScene
 from raster.raster_scenes import small_camera
 from raster.test_marked_parts import COLORS
 from raster.test_wet_colors import blended, wet_part

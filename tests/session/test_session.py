@@ -6,9 +6,9 @@ import pytest
 
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.scene.formats import read_scene, write_scene
+from gsrain_engine.session.rain.region_outlines import project_edges, region_outlines
 from gsrain_engine.session.session import Session
 from gsrain_engine.session.view.navigation import Navigation
-from gsrain_engine.session.view.region_outlines import project_edges, region_outlines
 from small_scene import small_scene
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import psutil
 import pytest
 
-from gsrain_engine.session.rainy import lacking, rainy_look
+from gsrain_engine.session.appearance import lacking, rainy_look
 from ui.shortcuts import chord
 from window_driver import Driver, imgui
 

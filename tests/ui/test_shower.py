@@ -6,8 +6,8 @@ from imgui_bundle import implot
 
 from gsrain_engine.rain.weather import Weather, WeatherKey
 from gsrain_engine.render.scene_view import rain_anchor
-from gsrain_engine.session.view.region_handles import face_handles
-from gsrain_engine.session.view.region_inset import inset_shot
+from gsrain_engine.session.rain.region_handles import face_handles
+from gsrain_engine.session.rain.region_inset import inset_shot
 from ui.panels import shower_plot
 from window_driver import Driver, imgui
 

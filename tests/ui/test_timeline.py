@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from gsrain_engine.scene.paths.files import read_camera_path
-from gsrain_engine.session.timeline import edits as edits
-from gsrain_engine.session.timeline import path_files as files
-from gsrain_engine.session.view.path_drawing import path_drawing
+from gsrain_engine.session.camera_path import edits, files
+from gsrain_engine.session.camera_path.path_drawing import path_drawing
 from ui.shortcuts import chord
 from window_driver import Driver, imgui
 

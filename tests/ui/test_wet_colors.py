@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.session.staged_scene import StagedScene
+from gsrain_engine.session.document.staged_scene import StagedScene
 from small_scene import small_scene
 from ui.shortcuts import chord
 from window_driver import Driver, imgui

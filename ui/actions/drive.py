@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
-from gsrain_engine.session.drive.chase import ChaseMode
 from gsrain_engine.session.edits.ego_drive import drive_along_own_path
 from gsrain_engine.session.session import Session
+from gsrain_engine.session.view.chase import ChaseMode
 
 from ..panels.drive_fields import ask_for_scenario
 from ..panels.rollout_fields import ask_for_rollout, ask_where_to_save_rollout

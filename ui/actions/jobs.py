@@ -1,6 +1,6 @@
 """Work that goes on behind the window."""
 
-from gsrain_engine.session.jobs.rainy_scene_job import TITLE
+from gsrain_engine.session.appearance.rainy_scene_job import TITLE
 
 from .action import Action
 

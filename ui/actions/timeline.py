@@ -4,10 +4,8 @@ from collections.abc import Callable
 
 from imgui_bundle import imgui
 
+from gsrain_engine.session.camera_path import edits, files, moments
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.timeline import edits as edits
-from gsrain_engine.session.timeline import moments as moments
-from gsrain_engine.session.timeline import path_files as files
 
 from ..panels.timeline.path_menu import ask_for_export, ask_for_import
 from ..shortcuts import chord

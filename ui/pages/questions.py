@@ -2,7 +2,7 @@
 
 from imgui_bundle import ImVec2, imgui
 
-from gsrain_engine.session.question import Answer, Question
+from gsrain_engine.session.questions import Answer, Question
 from gsrain_engine.session.session import Session
 
 from ..widgets.file_dialogs import SAVED_KINDS, ask_where_to_save

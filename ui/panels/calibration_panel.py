@@ -7,7 +7,7 @@ from imgui_bundle import imgui
 
 from gsrain_engine.rain.calibration import Calibration
 from gsrain_engine.rain.calibration_curves import CalibrationCurves, calibration_curves, spectrum_at
-from gsrain_engine.session.calibrations import compare_calibration, use_calibration, use_fitted_calibration
+from gsrain_engine.session.rain.calibrations import compare_calibration, use_calibration, use_fitted_calibration
 from gsrain_engine.session.session import Session
 
 from ..widgets.fields import plain_label
@@ -41,13 +41,15 @@ def _choose(session: Session) -> None:
     plain_label("Rain follows", "The calibration that drop numbers, sizes and speeds come from.")
     changed, index = imgui.combo("##calibration", names.index(present), [Path(each).stem for each in names])
     if changed:
-        use_calibration(session, names[index])
+        use_calibration(session, lab, names[index])
     plain_label("Beside it", "A calibration to compare with.")
     changed, index = imgui.combo("##compared", names.index(lab.compared), [Path(each).stem for each in names])
     if changed:
-        compare_calibration(session, names[index])
+        compare_calibration(session, lab, names[index])
     if imgui.button("Open..."):
-        ask_what_to_open("Open a calibration", _CALIBRATIONS, lambda chosen: use_calibration(session, str(chosen[0])))
+        ask_what_to_open(
+            "Open a calibration", _CALIBRATIONS, lambda chosen: use_calibration(session, lab, str(chosen[0]))
+        )
     imgui.set_item_tooltip("Let the rain follow a calibration file.")
     imgui.same_line()
     imgui.begin_disabled(lab.busy is not None)
@@ -75,7 +77,7 @@ def _fit(session: Session) -> None:
     r2 = fitted.calibration.velocity.r2
     imgui.text_wrapped("fall speed assumed: none was measured" if r2 is None else f"fall speed: R2 = {r2:.4f}")
     if imgui.button("Keep and use"):
-        use_fitted_calibration(session)
+        use_fitted_calibration(session, lab)
     imgui.set_item_tooltip("Save it among your calibrations, and let the rain follow it.")
 
 

@@ -55,7 +55,7 @@ def _picture(session: Session, camera: RigCamera, at: ImVec2, width: float) -> N
     if picture is None:
         draw.add_rect_filled(at, end, color(BACKGROUND))
     else:
-        draw.add_image(imgui.ImTextureRef(picture.texture), at, end)
+        draw.add_image(imgui.ImTextureRef(picture.name), at, end)
     words = camera.name.removeprefix("CAM_").replace("_", " ").lower()
     size = imgui.calc_text_size(words)
     low = ImVec2(at.x + 3, at.y + 3)

@@ -43,5 +43,5 @@ def _preview(session: Session, job: BackgroundJob) -> None:
     width = min(
         imgui.get_content_region_avail().x, _HIGHEST_PREVIEW_EM * imgui.get_font_size() * preview.width / preview.height
     )
-    imgui.image(imgui.ImTextureRef(preview.texture), ImVec2(width, width * preview.height / preview.width))
+    imgui.image(imgui.ImTextureRef(preview.name), ImVec2(width, width * preview.height / preview.width))
     imgui.set_item_tooltip("What the job has just made.")

@@ -9,8 +9,8 @@ from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 from gsrain_engine.appearance.methods import usable_methods
 from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.rain.rain import CALIBRATED_UP_TO_MM_H
-from gsrain_engine.session.jobs.rainy_scene_job import TITLE
-from gsrain_engine.session.rainy.view_sources import SOURCES, TITLES, why_no_views
+from gsrain_engine.session.appearance.rainy_scene_job import TITLE
+from gsrain_engine.session.appearance.view_sources import SOURCES, TITLES, why_no_views
 from gsrain_engine.session.session import Session
 
 from ..widgets import fields
@@ -126,7 +126,7 @@ def _preview(session: Session) -> None:
     width = min(imgui.get_content_region_avail().x, highest * texture.width / texture.height)
     faint = (1.0, 1.0, 1.0, 1.0 if stale is None else 0.5)
     size = ImVec2(width, width * texture.height / texture.width)
-    imgui.image_with_bg(imgui.ImTextureRef(texture.texture), size, tint_col=faint)
+    imgui.image_with_bg(imgui.ImTextureRef(texture.name), size, tint_col=faint)
     imgui.set_item_tooltip("The view after its transfer, soaked.")
     if stale is not None:
         imgui.align_text_to_frame_padding()

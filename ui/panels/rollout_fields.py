@@ -5,10 +5,10 @@ from typing import get_args
 
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
-from gsrain_engine.session.drive.chase import ChaseMode
 from gsrain_engine.session.drive.drives import Drives
 from gsrain_engine.session.drive.opened_rollout import OpenedRollout
 from gsrain_engine.session.session import Session
+from gsrain_engine.session.view.chase import ChaseMode
 
 from ..widgets.colors import color
 from ..widgets.file_dialogs import ask_what_to_open, ask_where_to_save

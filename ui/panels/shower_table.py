@@ -3,8 +3,8 @@
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
 from gsrain_engine.rain.weather import HEAVIEST_MM_H, KEYED, Weather, WeatherKey
+from gsrain_engine.session.rain.shower_view import TypedNumber
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.timeline.shower_view import TypedNumber
 
 _ROWS_SHOWN = 8
 _TITLES = {

@@ -2,8 +2,8 @@
 
 from imgui_bundle import ImVec2, imgui
 
+from gsrain_engine.session.camera_path import edits
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.timeline import edits as edits
 
 from .timeline.keys import key_menu
 from .timeline.numbers import numbers

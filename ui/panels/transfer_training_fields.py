@@ -7,8 +7,8 @@ import msgspec
 from imgui_bundle import icons_fontawesome_6, imgui
 
 from gsrain_engine.appearance.finetuning.settings_file import finetuning_names
-from gsrain_engine.session.jobs.transfer_training import Losses
-from gsrain_engine.session.rainy.transfer_studio import TrainingChoice
+from gsrain_engine.session.appearance.transfer_studio import TrainingChoice
+from gsrain_engine.session.appearance.transfer_training import Losses
 from gsrain_engine.session.session import Session
 
 from ..widgets.fields import field_info, plain_label

@@ -4,9 +4,9 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 from jaxtyping import Float64
 
+from gsrain_engine.session.camera_path import edits
+from gsrain_engine.session.camera_path.path_drawing import KeyMark, drag_in_view, path_drawing
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.timeline import edits as edits
-from gsrain_engine.session.view.path_drawing import KeyMark, drag_in_view, path_drawing
 
 from ..widgets.colors import CHOSEN, KEY, OUTLINE, PLAYHEAD, color
 from ..widgets.viewport import Viewport

@@ -15,5 +15,5 @@ def preview_side(session: Session, corner: ImVec2, width: int, height: int) -> t
         return None
     at = session.view.divider
     low, high = ImVec2(corner.x + at * width, corner.y), ImVec2(corner.x + width, corner.y + height)
-    imgui.get_window_draw_list().add_image(imgui.ImTextureRef(rainy.texture.texture), low, high, ImVec2(at, 0))
+    imgui.get_window_draw_list().add_image(imgui.ImTextureRef(rainy.texture.name), low, high, ImVec2(at, 0))
     return LABELS

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
+from gsrain_engine.session.rain.region_outlines import region_outlines
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.view.region_outlines import region_outlines
 
 from ..tools import TOOLS
 from ..widgets.viewport import Viewport

@@ -8,10 +8,10 @@ from jaxtyping import Float64
 
 from gsrain_engine.rain.rain import HAZE_REGION, STREAK_REGION, Box
 from gsrain_engine.render.scene_view import Shot, rain_anchor
+from gsrain_engine.session.rain.region_handles import FaceHandle, FacePull, RegionName, face_handles
+from gsrain_engine.session.rain.region_inset import frustum_lines, inset_shot
+from gsrain_engine.session.rain.region_outlines import project_edges
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.view.region_handles import FaceHandle, FacePull, RegionName, face_handles
-from gsrain_engine.session.view.region_inset import frustum_lines, inset_shot
-from gsrain_engine.session.view.region_outlines import project_edges
 
 from ..widgets.markers import Rgba, draw_line, draw_point, draw_words
 from ..widgets.viewport import Viewport

@@ -2,8 +2,8 @@
 
 from imgui_bundle import icons_fontawesome_6, imgui
 
-from gsrain_engine.session.picture.sky_pick import SkyPick
 from gsrain_engine.session.session import Session
+from gsrain_engine.session.view.sky_pick import SkyPick
 
 from ..panels.drop_color import PICK_TOOL
 from ..widgets.markers import draw_hint

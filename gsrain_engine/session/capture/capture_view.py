@@ -3,7 +3,6 @@
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -11,7 +10,8 @@ from jaxtyping import Float64
 from gsrain_engine.datasets.capture import Capture, CaptureError, View
 from gsrain_engine.scene.scene import Scene, rotation_to_z_up
 
-from ..viewed_document import ViewedDocument
+from ..document.viewed_document import ViewedDocument
+from ..view.texture import Texture
 from .frustums import RecordedCameras, fitting_fov_deg, frustum_length
 from .shown_points import ShownPoints, shown_points
 from .view_pictures import ViewPictures, Wish
@@ -23,15 +23,6 @@ _ALIKE = float(np.cos(np.radians(20.0)))
 
 _SAME_PLACE = 1e-6
 """Of a pose's numbers: the eye stands where a picture was taken."""
-
-
-class Texture(NamedTuple):
-    """A picture on the GPU."""
-
-    name: int
-    """What OpenGL calls it."""
-    width: int
-    height: int
 
 
 class CaptureView:

@@ -16,7 +16,7 @@ from ..desk import Desk
 from ..files.saved_scene import saved_scene
 from ..files.scene_files import SceneFiles
 from ..log import told
-from .chase import Chase, ChaseMode
+from ..view.chase import Chase, ChaseMode
 from .drive_job import DriveJob, Reading
 from .mosaic import Mosaic
 from .opened_rollout import OpenedRollout, open_rollout
@@ -121,7 +121,7 @@ class Drives:
             self._begin(session, opened, placing)
         shown = self._shown_in(session.scene)
         if shown is not None:
-            self.chase.ride(shown, session.clock.time_s, session.navigation)
+            self.chase.ride(shown.vehicle(session.clock.time_s), session.navigation)
 
     # What plays
 

@@ -2,22 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
 from gsrain_engine.scene.scene import RigCamera, Scene
 
+from ..view.texture import Texture
+
 _WIDTH_STEP_PX = 16
-
-
-class SmallPicture(NamedTuple):
-    """A camera's picture on the GPU."""
-
-    texture: int
-    """What OpenGL calls it; first row on top."""
-    width: int
-    height: int
 
 
 @dataclass(slots=True)
@@ -32,7 +24,7 @@ class Mosaic:
     """Whether the panel is to be seen; said anew in each frame."""
     is_behind: bool = False
     """Whether pictures are older than what the scene shows now."""
-    pictures: dict[str, SmallPicture] = field(default_factory=dict[str, SmallPicture])
+    pictures: dict[str, Texture] = field(default_factory=dict[str, Texture])
     """By camera."""
 
     def want(self, width_px: float) -> None:

@@ -19,6 +19,8 @@ from gsrain_engine.scene.rotations import quaternions_from_matrices
 from gsrain_engine.scene.scene import RigCamera, Scene
 from gsrain_engine.scene.track import Track
 
+from ..view.chase import ChasedVehicle
+
 EGO_CAR = "ego car"
 """Id of the actor that is the ego vehicle's body; no road user is called so."""
 _BODY = "saloon"
@@ -88,6 +90,12 @@ class ShownRollout:
             actors = (*self._users, self._body) if with_ego else self._users
             self._shown[with_ego] = scene, replace(scene, actors=actors, ego=self._rig)
         return self._shown[with_ego][1]
+
+    def vehicle(self, clock_s: float) -> ChasedVehicle:
+        """The ego vehicle at a time of the scene, for a camera that goes along."""
+        time_s = self.own_time_s(clock_s)
+        pose, state = self.played.rig_to_world(time_s), self.played.state(time_s)
+        return ChasedVehicle(pose, state.speed_m_s, self.played.rig.height_m, self.front_camera)
 
     @property
     def front_camera(self) -> RigCamera | None:

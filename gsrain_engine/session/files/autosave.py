@@ -18,8 +18,8 @@ from gsrain_engine.scene.formats.known_files import KnownFiles
 from gsrain_engine.scene.formats.scene_folder import SCENE_FILE, write_scene_folder
 from gsrain_engine.scene.scene import Scene
 
+from ..preferences.places import state_folder
 from .disk_stamp import DiskStamp
-from .places import state_folder
 
 logger = logging.getLogger("gsrain")
 

@@ -10,8 +10,8 @@ from msgspec import Meta
 
 from gsrain_engine.render.look import Look
 
+from ..document.viewed_document import ViewedDocument
 from ..view.navigation import FASTEST_M_S, SLOWEST_M_S, Navigation
-from ..viewed_document import ViewedDocument
 
 logger = logging.getLogger("gsrain")
 

@@ -8,7 +8,7 @@ import msgspec
 from gsrain_engine.scene.atomic_files import whole_file
 from gsrain_engine.scene.file_lock import locked
 
-from .places import state_folder
+from ..preferences.places import state_folder
 
 logger = logging.getLogger("gsrain")
 

@@ -11,9 +11,9 @@ from gsrain_engine.scene.formats.known_files import KnownFiles
 from gsrain_engine.untrusted.printable import printable
 
 from ..desk import Desk
-from ..history import Document
+from ..document.document import Document
 from ..log import told
-from ..question import Answer, Question, nothing
+from ..questions import Answer, Question, nothing
 from .autosave import Autosave, Autosaved, Entered
 from .disk_stamp import DiskStamp
 from .saved_scene import saved_scene

@@ -6,7 +6,7 @@ import msgspec
 
 from gsrain_engine.scene.scene import Scene
 
-from ..viewed_document import ViewedDocument
+from ..document.viewed_document import ViewedDocument
 from .kept_view import kept_view
 
 

@@ -14,11 +14,11 @@ from gsrain_engine.scene.open_scene import is_built_in, scene_folder_of
 from gsrain_engine.scene.scene import Scene
 
 from ..desk import Desk
+from ..document.document import Document
+from ..document.staged_scene import StagedScene
 from ..edits.importing import import_scene
-from ..history import Document
 from ..log import told
-from ..question import Answer, Question, nothing
-from ..staged_scene import StagedScene
+from ..questions import Answer, Question, nothing
 from .autosave import Autosaved
 from .disk_stamp import DiskStamp, has_changed, stamp_of
 from .opened import Opened, read_kept, read_opened

@@ -1,10 +1,10 @@
 """What the Jobs panel shows of any work that goes on behind the window."""
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from gsrain_engine.scene.progress import Progress
 
-from ..viewed_document import ViewedDocument
+from ..document.viewed_document import ViewedDocument
 from .worker import JobState
 
 
@@ -26,12 +26,3 @@ class BackgroundJob(Protocol):
     def cancel(self) -> None:
         """Stop, wherever it is, without waiting; the document stays as it was."""
         ...
-
-
-class JobPreview(NamedTuple):
-    """A picture that a panel can show."""
-
-    texture: int
-    """Name of the OpenGL texture; first row on top."""
-    width: int
-    height: int

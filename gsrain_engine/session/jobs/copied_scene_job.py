@@ -9,7 +9,7 @@ from gsrain_engine.scene.formats.known_files import KnownFiles
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
-from ..viewed_document import ViewedDocument
+from ..document.viewed_document import ViewedDocument
 from .job_folder import JobFolder
 from .scene_copy import write_copy
 from .worker import Job, JobState

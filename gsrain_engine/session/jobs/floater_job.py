@@ -7,9 +7,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
+from ..document.viewed_document import ViewedDocument
 from ..edits.floaters import FloaterRules, FloaterSearch, select_floaters
 from ..edits.marking import selected_count
-from ..viewed_document import ViewedDocument
 from .worker import JobState
 
 TITLE = "Find floaters"

@@ -14,7 +14,7 @@ from gsrain_engine.scene.formats.known_files import KnownFiles
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
-from ..staged_scene import StagedScene
+from ..document.staged_scene import StagedScene
 from .report_files import new_report
 from .scene_copy import write_copy
 from .scene_job import Assignment

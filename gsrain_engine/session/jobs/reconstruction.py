@@ -10,7 +10,7 @@ from gsrain_engine.scene.formats import read_scene
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
-from ..staged_scene import StagedScene
+from ..document.staged_scene import StagedScene
 from .report_files import new_report
 from .scene_job import Assignment
 from .torch_extra import require_torch

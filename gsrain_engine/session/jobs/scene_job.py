@@ -16,8 +16,8 @@ from gsrain_engine.scene.errors import sentence_of
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
-from ..staged_scene import StagedScene
-from ..viewed_document import ViewedDocument
+from ..document.staged_scene import StagedScene
+from ..document.viewed_document import ViewedDocument
 from .job_folder import JobFolder
 from .worker import Job, JobState, Work
 

@@ -12,8 +12,8 @@ from gsrain_engine.datasets.capture import Capture, CaptureError
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Scene
 
-from ..capture.capture_view import Texture
 from ..desk import Desk
+from ..view.texture import Texture
 from .mode import Mode
 from .other_view import WHY_NONE, Against, neighbour
 

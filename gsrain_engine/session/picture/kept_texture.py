@@ -4,7 +4,10 @@ import moderngl
 import numpy as np
 from jaxtyping import UInt8
 
-from ..jobs.background_job import JobPreview
+from ..view.texture import Texture
+
+Pixels = UInt8[np.ndarray, "h w c"]
+"""Display colour, with or without alpha; first row on top."""
 
 
 class KeptTexture:
@@ -12,23 +15,30 @@ class KeptTexture:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._pixels: UInt8[np.ndarray, "h w 3"] | None = None
+        self._pixels: Pixels | None = None
         self._texture: moderngl.Texture | None = None
 
-    def show(self, pixels: UInt8[np.ndarray, "h w 3"] | None) -> JobPreview | None:
-        """Bring a picture (display colour, first row on top) to the GPU; None frees what is there."""
+    def show(self, pixels: Pixels | None) -> Texture | None:
+        """Bring a picture to the GPU; None frees what is there."""
         if pixels is not self._pixels:
             self._pixels = pixels
-            size = None if pixels is None else (pixels.shape[1], pixels.shape[0])
-            if self._texture is not None and self._texture.size != size:
-                self._texture.release()
-                self._texture = None
-            if pixels is not None and self._texture is None:
-                self._texture = self._context.texture(
-                    (pixels.shape[1], pixels.shape[0]), 3, np.ascontiguousarray(pixels), alignment=1
-                )
-            elif pixels is not None and self._texture is not None:
-                self._texture.write(np.ascontiguousarray(pixels), alignment=1)
+            self._bring(pixels)
+        return self.texture
+
+    @property
+    def texture(self) -> Texture | None:
+        """What is on the GPU now."""
+        kept = self._texture
+        return None if kept is None else Texture(kept.glo, kept.width, kept.height)
+
+    def _bring(self, pixels: Pixels | None) -> None:
+        old = self._texture
+        if old is not None and (pixels is None or (old.height, old.width, old.components) != pixels.shape):
+            old.release()
+            self._texture = None
+        if pixels is None:
+            return
         if self._texture is None:
-            return None
-        return JobPreview(self._texture.glo, self._texture.width, self._texture.height)
+            height, width, channels = pixels.shape
+            self._texture = self._context.texture((width, height), channels, alignment=1)
+        self._texture.write(np.ascontiguousarray(pixels), alignment=1)

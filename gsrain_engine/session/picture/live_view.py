@@ -18,13 +18,13 @@ from gsrain_engine.render.splat_renderer import SplatRenderer
 from gsrain_engine.render.thinning import Thinning
 from gsrain_engine.scene.scene import Scene
 
+from ..document.staged_scene import StagedScene
 from ..session import Session, WindowBackend
-from ..staged_scene import StagedScene
+from ..view.interaction_budget import EXACT, Detail
+from ..view.side import Side
+from ..view.sky_pick import SkyPick, color_there
 from .cpu_picture import CpuPicture
-from .interaction_budget import EXACT, Detail
 from .scene_upload import SceneUpload
-from .side import Side
-from .sky_pick import SkyPick, color_there
 from .sky_watch import SkyWatch
 
 logger = logging.getLogger("gsrain")

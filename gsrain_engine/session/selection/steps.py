@@ -2,7 +2,7 @@
 
 from gsrain_engine.scene.scene import Scene
 
-from ..edited_document import EditedDocument
+from ..document.edited_document import EditedDocument
 from .candidates import Found
 from .combine import Mode, all_selected, combined, inverted, none_selected, selected_count, selections
 from .neighbourhood import grown, rim

@@ -33,7 +33,7 @@ class Timeline:
     """State of the Timeline panel."""
 
     key: int | None = None
-    """Number of the chosen key, which an undo may have taken away: `timeline_edits.chosen_key` looks."""
+    """Number of the chosen key, which an undo may have taken away: `camera_path.edits.chosen_key` looks."""
     drag: KeyDrag | None = None
     fps: float = 30.0
     """Of the film: keys and steps keep to its frames."""

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gsrain_engine.drive.simulation.rig_pictures import placed_camera
-from gsrain_engine.session.drive.chase import Chase
 from gsrain_engine.session.drive.shown_rollout import ShownRollout
+from gsrain_engine.session.view.chase import Chase
 from gsrain_engine.session.view.navigation import Navigation
 
 from .driven import driven
@@ -20,13 +20,13 @@ def shown():
 def test_behind_is_8_m_back_and_3_m_up_and_goes_along(shown):
     chase, navigation = Chase(), Navigation()
     chase.begin("behind")
-    chase.ride(shown, 0.5, navigation)
+    chase.ride(shown.vehicle(0.5), navigation)
     ego = shown.played.state(0.0)
     assert navigation.position == pytest.approx((ego.x_m - 8, ego.y_m, 3.0), abs=0.01)
     assert navigation.heading == pytest.approx(0.0)
     assert navigation.pitch < 0
     navigation.turn(0.3, 0.0)  # a person looks around
-    chase.ride(shown, 1.5, navigation)
+    chase.ride(shown.vehicle(1.5), navigation)
     assert navigation.position == pytest.approx((ego.x_m - 8 + 2.0, ego.y_m, 3.0), abs=0.01)
     assert navigation.heading == pytest.approx(0.3)
     assert chase.velocity_m_s == pytest.approx((2.0, 0, 0), abs=1e-3)
@@ -35,14 +35,14 @@ def test_behind_is_8_m_back_and_3_m_up_and_goes_along(shown):
 def test_the_front_camera_is_that_of_the_rig(shown):
     chase, navigation = Chase(), Navigation()
     chase.begin("front camera")
-    chase.ride(shown, 1.0, navigation)
+    chase.ride(shown.vehicle(1.0), navigation)
     camera = placed_camera(shown.front_camera, shown.played.rig_to_world(0.5))
     seen = navigation.camera(camera.width, camera.height)
     assert np.allclose(seen.world_to_camera, camera.world_to_camera, atol=1e-9)
     assert seen.fy == pytest.approx(camera.fy)
     chase.let_go()
     assert chase.mode == "free"
-    chase.ride(shown, 1.2, navigation)
+    chase.ride(shown.vehicle(1.2), navigation)
     assert np.allclose(navigation.camera(camera.width, camera.height).world_to_camera, camera.world_to_camera)
     assert chase.velocity_m_s is None
 
@@ -50,5 +50,5 @@ def test_the_front_camera_is_that_of_the_rig(shown):
 def test_after_the_end_it_stays_there(shown):
     chase, navigation = Chase(), Navigation()
     chase.begin("behind")
-    chase.ride(shown, 1e3, navigation)
+    chase.ride(shown.vehicle(1e3), navigation)
     assert navigation.position[0] == pytest.approx(shown.played.state(1e3).x_m - 8)

@@ -6,8 +6,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gsrain_engine.session.files.preferences import Preferences, load_preferences, preferences_file, save_preferences
 from gsrain_engine.session.files.recent_files import MOST, add_recent_file, forget_recent_file, recent_files
+from gsrain_engine.session.preferences.preferences import (
+    Preferences,
+    load_preferences,
+    preferences_file,
+    save_preferences,
+)
 from gsrain_engine.session.session import Session
 
 

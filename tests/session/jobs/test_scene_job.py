@@ -14,9 +14,9 @@ import pytest
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.formats.scene_folder import write_scene_folder
 from gsrain_engine.scene.progress import Progress
+from gsrain_engine.session.document.staged_scene import StagedScene
 from gsrain_engine.session.jobs.scene_job import Assignment, SceneJob
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.staged_scene import StagedScene
 from small_scene import small_scene
 
 

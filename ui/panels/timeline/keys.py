@@ -2,10 +2,8 @@
 
 from imgui_bundle import ImVec2, imgui
 
+from gsrain_engine.session.camera_path import edits, files, moments
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.timeline import edits as edits
-from gsrain_engine.session.timeline import moments as moments
-from gsrain_engine.session.timeline import path_files as files
 
 from ...widgets.colors import CHOSEN, KEY, OUTLINE, color
 

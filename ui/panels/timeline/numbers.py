@@ -9,8 +9,8 @@ from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.paths.curves import Interpolation
 from gsrain_engine.scene.paths.easing import Easing
 from gsrain_engine.scene.paths.look import LookAngles, focal_length_mm, fov_of_focal_length
+from gsrain_engine.session.camera_path import edits
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.timeline import edits as edits
 from gsrain_engine.session.timeline.rows import ego_speed_km_h
 from gsrain_engine.session.timeline.timeline import speed_of
 

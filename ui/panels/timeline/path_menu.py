@@ -2,9 +2,8 @@
 
 from imgui_bundle import icons_fontawesome_6, imgui
 
+from gsrain_engine.session.camera_path import edits, files
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.timeline import edits as edits
-from gsrain_engine.session.timeline import path_files as files
 
 from ...widgets.file_dialogs import ask_what_to_open, ask_where_to_save
 from .widgets import icon_button

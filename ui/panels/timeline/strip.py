@@ -2,8 +2,8 @@
 
 from imgui_bundle import ImVec2, imgui
 
+from gsrain_engine.session.camera_path import moments
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.timeline import moments as moments
 
 from ...widgets.colors import DIM, FAINT, PLAYED, PLAYHEAD, color
 

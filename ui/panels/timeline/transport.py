@@ -2,8 +2,8 @@
 
 from imgui_bundle import icons_fontawesome_6, imgui
 
+from gsrain_engine.session.camera_path import edits
 from gsrain_engine.session.session import Session
-from gsrain_engine.session.timeline import edits as edits
 
 from .path_menu import path_menu
 from .widgets import icon_button, switch, typed_number

@@ -1,0 +1,1 @@
+"""Making a scene rainy, previews of it, and training a transfer."""

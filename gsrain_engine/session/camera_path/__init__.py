@@ -1,0 +1,1 @@
+"""The person's camera path: its keys, files, and how it is drawn."""

@@ -1,0 +1,1 @@
+"""What a person edits, how it is looked at, and what is on its way into it."""

@@ -1,0 +1,119 @@
+"""A document that is edited: every change is a step of its history, and scene, rain and weather are read from it."""
+
+import logging
+from collections.abc import Callable
+
+import msgspec
+
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.weather import Weather
+from gsrain_engine.scene.scene import Scene
+
+from ..timeline.clock import Clock
+from .document import Document
+from .history import History
+
+logger = logging.getLogger("gsrain")
+
+
+class EditedDocument:
+    """The present document and the ways to change it. What depends on it follows in `_follow_document`."""
+
+    def __init__(self, document: Document, clock: Clock) -> None:
+        self.clock = clock
+        self.history = History.beginning_with(document)
+        self.problem: str | None = None
+        """What went wrong last, in one sentence: the viewport shows it until it is closed or a scene is opened."""
+        self._key_moment: tuple[str | None, float] = None, 0.0
+        """A gesture that goes on, and the time at which it sets its keys."""
+
+    def _follow_document(self) -> None:
+        """Go along with another document."""
+        raise NotImplementedError
+
+    @property
+    def scene(self) -> Scene:
+        """The scene as it is now."""
+        return self.history.present.scene
+
+    @property
+    def rain(self) -> Rain:
+        """The rain as it is now."""
+        return self.history.present.rain
+
+    def change_rain(self, label: str, gesture: str | None = None, **fields: object) -> None:
+        """Change fields of the rain. Changes of one gesture (a drag) make one step; call `end_gesture` when it ends.
+
+        A field that has keys gets its key of the present time, that of the gesture's beginning while one goes on.
+        """
+        if gesture is None or gesture != self._key_moment[0]:
+            self._key_moment = gesture, self.clock.time_s
+        at_s = self._key_moment[1]
+        keyed = {name: value for name, value in fields.items() if self.weather.is_keyed(name) and value is not None}
+        rain = msgspec.structs.replace(self.rain, **fields)
+        weather = self.weather.with_key(at_s, **keyed) if keyed else self.weather
+        self._go_to_rain(label, rain, weather, gesture)
+
+    def set_rain(self, label: str, rain: Rain, gesture: str | None = None) -> None:
+        """Go to another rain; drops in the air go on from where they are. Fields with keys go on from those."""
+        self._go_to_rain(label, rain, self.weather, gesture)
+
+    @property
+    def weather(self) -> Weather:
+        """How the rain changes over time."""
+        return self.history.present.weather
+
+    @property
+    def rain_now(self) -> Rain:
+        """The rain at the present time: what has keys as it is between them, the rest as it is set."""
+        return self.weather.rain_at(self.rain, self.clock.time_s)
+
+    def set_weather(self, label: str, weather: Weather, gesture: str | None = None) -> None:
+        """Let the rain change over time in another way; drops in the air go on from where they are."""
+        self._go_to_rain(label, self.rain, weather, gesture)
+
+    def _go_to_rain(self, label: str, rain: Rain, weather: Weather, gesture: str | None) -> None:
+        present = self.history.present
+        if rain != present.rain or weather != present.weather:
+            self.history.record(label, present.with_rain(rain).with_weather(weather), gesture)
+            self._follow_document()
+
+    def set_scene(self, label: str, scene: Scene, gesture: str | None = None) -> None:
+        """Go to a changed version of the scene."""
+        self.history.record(label, self.history.present.with_scene(scene), gesture)
+        self._follow_document()
+
+    def edit(self, label: str, change: Callable[..., Scene], *arguments: object, gesture: str | None = None) -> None:
+        """Let a function of the scene make the next one; what it refuses (`ValueError`) is kept in `problem`."""
+        try:
+            changed = change(self.scene, *arguments)
+        except ValueError as error:
+            self.problem = str(error)
+            logger.error("%s", error)
+        else:
+            self.set_scene(label, changed, gesture)
+
+    def show_member(self, key: str, visible: bool) -> None:
+        """Show or hide a layer or an actor."""
+        verb = "Show" if visible else "Hide"
+        self.set_scene(f"{verb} {self.scene.member(key).name}", self.scene.with_member(key, visible=visible))
+
+    def end_gesture(self) -> None:
+        """Say that a drag is over."""
+        self._key_moment = None, 0.0
+        self.history.end_gesture()
+
+    def undo(self) -> None:
+        """Step back."""
+        self.history.undo()
+        self._follow_document()
+
+    def redo(self) -> None:
+        """Step forward."""
+        self.history.redo()
+        self._follow_document()
+
+    def go_to_step(self, step: int) -> None:
+        """Go to a step of the history, backward or forward."""
+        self.history.go_to(step)
+        self._follow_document()

@@ -1,0 +1,1 @@
+"""The rain panels: measurements, calibrations, roofs, and the regions of rain in the view."""

@@ -1,0 +1,1 @@
+"""Recording the document along its path, in another process."""

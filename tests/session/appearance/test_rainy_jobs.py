@@ -1,0 +1,164 @@
+"""Making a scene rainy behind the window: real workers on a small scene, the preview, and trainings."""
+
+from concurrent.futures import wait
+from dataclasses import replace
+from multiprocessing.connection import wait as wait_for
+
+import msgspec
+import numpy as np
+import pytest
+
+from gsrain_engine.appearance.finetuning.settings import FinetuningSettings
+from gsrain_engine.appearance.finetuning.task import TrainingTask
+from gsrain_engine.appearance.transfer_settings import TransferSettings
+from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
+from gsrain_engine.reconstruct.recoloring.recolored_file import read_recolored
+from gsrain_engine.scene.formats.scene_folder import write_scene_folder
+from gsrain_engine.scene.progress import Progress
+from gsrain_engine.session.appearance import transfer_training
+from gsrain_engine.session.appearance.previewed_view import PreviewedView, Recipe
+from gsrain_engine.session.appearance.transfer_work import TransferOrder, make_rainy, preview_view
+from gsrain_engine.session.appearance.view_sources import why_no_views
+from gsrain_engine.session.session import Session
+from small_scene import small_scene
+
+CHOICE = ViewChoice(source="rig", count=2, width_px=64)
+
+
+@pytest.fixture
+def session():
+    opened = Session(small_scene())
+    yield opened
+    opened.close()
+
+
+def follow(session, job, until=lambda: False):
+    """Poll until the job has ended, or something is so; wait where there is nothing new."""
+    while job.state == "running" and not until():
+        if job._worker is not None:
+            wait_for([job._worker.waitable], timeout=60)
+        elif job._reading is not None:
+            wait([job._reading], timeout=60)
+        session.update(0.0)
+
+
+def test_the_work_writes_wet_colours_of_every_member_and_a_report(tmp_path):
+    write_scene_folder(small_scene(), tmp_path / "scene")
+    order = TransferOrder("wet", TransferSettings(), CHOICE)
+    said = list(make_rainy(tmp_path / "scene", order, tmp_path / "colors.npz", tmp_path / "report.html"))
+    assert [each.fraction for each in said] == sorted(each.fraction for each in said)
+    assert sum(each.preview is not None for each in said) >= 2
+    colors = read_recolored(tmp_path / "colors.npz")
+    assert set(colors) == {"layers/road", "layers/wall", "layers/sky"}
+    road = small_scene().member("layers/road").gaussians.sh
+    assert (colors["layers/road"][:, 0] < road[:, 0]).mean() > 0.8  # wet, it is darker
+    page = (tmp_path / "report.html").read_text()
+    assert "made rainy" in page
+    assert page.count("data:image") >= 2
+
+
+def test_a_preview_is_the_view_that_the_job_would_make(tmp_path):
+    scene = small_scene()
+    write_scene_folder(scene, tmp_path / "scene")
+    placed = chosen_cameras(scene, CHOICE)[0]
+    *_, clear, rainy = list(preview_view(tmp_path / "scene", "wet", TransferSettings(), placed))
+    assert rainy.preview.shape == (placed.camera.height, 64, 3)
+    assert np.abs(rainy.preview.astype(int) - clear.preview).mean() > 3
+    *_, dry = preview_view(tmp_path / "scene", "wet", TransferSettings(wetness=0.0), placed)
+    assert np.array_equal(dry.preview, clear.preview)
+
+
+def test_a_preview_fits_only_what_it_is_of(session):
+    shot, scene = session.shot(96, 64), session.scene
+    recipe = Recipe("wet", TransferSettings())
+    view = PreviewedView(np.zeros((64, 96, 3), np.uint8), shot.camera, 0.0, scene, recipe)
+    assert view.is_of(session.shot(960, 640).camera, 0.0, scene)
+    assert not view.is_of(session.shot(960, 600).camera, 0.0, scene)
+    wet = scene.with_member("layers/road", wet_sh=scene.member("layers/road").gaussians.sh)
+    assert view.is_of(shot.camera, 1.0, wet)  # views are clear, and nothing moves
+    assert not view.is_of(shot.camera, 0.0, scene.with_member("layers/road", visible=False))
+    session.navigation.dolly(1.0)
+    assert not view.is_of(session.shot(96, 64).camera, 0.0, scene)
+    assert view.is_made_by(Recipe("wet", TransferSettings()))
+    assert not view.is_made_by(Recipe("wet", TransferSettings(seed=1)))
+
+
+def test_views_that_a_scene_has_not_are_named(session):
+    assert why_no_views(session, "rig") is None
+    assert "no camera path" in why_no_views(session, "path")
+    assert "No capture is open" in why_no_views(session, "recorded")
+    session.set_scene("Without a drive", replace(session.scene, ego=None))
+    assert "no drive" in why_no_views(session, "rig")
+    assert why_no_views(session, "auto") is None
+
+
+def learning(task):
+    """Stand in for a training: losses, samples, and a warning."""
+    task.output.mkdir(parents=True, exist_ok=True)
+    rows = "".join(f"{k},{2 / k}\n" for k in range(1, 1001))
+    task.losses.write_text(f"step,cycle_clear\n{rows}")
+    yield Progress(0.5, "500 of 1,000: cycle 0.1", np.full((8, 8, 3), 90, np.uint8))
+    yield Progress(0.6, "600 of 1,000: cycle 0.1. Warning: the model only reconstructs; raise losses.gan")
+    while not (task.output / "seen").exists():
+        pass  # the test lets it go on
+    yield Progress(1.0, "Trained")
+
+
+def breaking(task):
+    yield Progress(0.1, "1 of 1,000: cycle 0.1")
+    raise ValueError("clear: holds no pictures")
+
+
+@pytest.fixture
+def studio(session, tmp_path, monkeypatch):
+    for name in ("clear", "rainy"):
+        (tmp_path / name).mkdir()
+    studio = session.studio
+    studio.choice = msgspec.structs.replace(
+        studio.choice, clear=tmp_path / "clear", rainy=tmp_path / "rainy", output=tmp_path / "out", steps=1000
+    )
+    monkeypatch.setattr("gsrain_engine.session.appearance.transfer_studio.has_torch", lambda: True)
+    monkeypatch.setattr(transfer_training, "train_transfer", learning)
+    return studio
+
+
+def test_losses_and_warnings_of_a_training_can_be_watched(session, studio):
+    studio.start(session)
+    (job,) = session.jobs
+    assert isinstance(job.task, TrainingTask)
+    assert isinstance(job.task.settings, FinetuningSettings)
+    assert job.task.settings.steps == 1000
+    assert [each.path for each in job.task.settings.pictures.clear] == [str(studio.choice.clear)]
+    assert studio.why_not(session) == "Wait for Train the transfer, or cancel it."
+    follow(session, job, until=lambda: job.warning is not None)
+    assert job.progress.message == "600 of 1,000: cycle 0.1"
+    (job.task.output / "seen").touch()
+    follow(session, job)
+    assert (job.state, job.error) == ("finished", None)
+    assert job.warning == "the model only reconstructs; raise losses.gan"
+    assert job.progress.preview is not None
+    assert len(job.losses["step"]) == 500  # means of two
+    assert job.losses["cycle_clear"][0] == pytest.approx(1.5)
+
+
+def test_what_ends_a_training_is_told_and_a_checkpoint_is_gone_on_from(session, studio, monkeypatch):
+    monkeypatch.setattr(transfer_training, "train_transfer", breaking)
+    studio.start(session)
+    follow(session, session.jobs[0])
+    assert session.problem == "Train the transfer failed: clear: holds no pictures"
+    assert not studio.can_resume
+    studio.choice.output.mkdir()
+    (studio.choice.output / "checkpoint.safetensors").write_bytes(b"")
+    assert studio.can_resume
+    studio.start(session, resume=True)
+    assert session.jobs[1].task.resume
+    session.jobs[1].cancel()
+    assert session.jobs[1].state == "cancelled"
+
+
+def test_settings_that_are_wrong_are_told_and_nothing_starts(session, studio, tmp_path):
+    (tmp_path / "own.yaml").write_text("architecture: tiny\nstepps: 3\n")
+    studio.choice = msgspec.structs.replace(studio.choice, config=str(tmp_path / "own.yaml"))
+    studio.start(session)
+    assert session.jobs == []
+    assert "own.yaml" in session.problem

@@ -1,0 +1,61 @@
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.session.document.document import Document
+from gsrain_engine.session.document.history import History
+from small_scene import small_scene
+
+SCENE = small_scene()
+
+
+def document(intensity):
+    return Document(SCENE, Rain(intensity_mm_h=float(intensity)))
+
+
+def history():
+    return History.beginning_with(document(0))
+
+
+def test_undo_and_redo_walk_over_the_steps():
+    steps = history()
+    one, two = document(1), document(2)
+    steps.record("one", one)
+    steps.record("two", two)
+    assert (steps.undo_label, steps.redo_label) == ("two", None)
+    assert steps.undo() is one
+    assert (steps.undo_label, steps.redo_label) == ("one", "two")
+    assert steps.redo() is two
+    assert steps.redo() is two
+
+
+def test_nothing_is_before_the_beginning():
+    steps = history()
+    assert steps.undo_label is None
+    assert steps.undo() is steps.present
+
+
+def test_a_new_step_forgets_what_could_be_redone():
+    steps = history()
+    steps.record("one", document(1))
+    steps.undo()
+    steps.record("other", document(3))
+    assert steps.redo_label is None
+    assert steps.present.rain.intensity_mm_h == 3
+
+
+def test_a_drag_is_one_step_and_the_next_drag_another():
+    steps = history()
+    for value in (1, 2, 3):
+        steps.record("Intensity", document(value), "intensity")
+    steps.end_gesture()
+    for value in (4, 5):
+        steps.record("Intensity", document(value), "intensity")
+    steps.end_gesture()
+    assert steps.present.rain.intensity_mm_h == 5
+    assert steps.undo().rain.intensity_mm_h == 3
+    assert steps.undo().rain.intensity_mm_h == 0
+
+
+def test_another_gesture_begins_its_own_step():
+    steps = history()
+    steps.record("Intensity", document(1), "intensity")
+    steps.record("Wind", document(2), "wind")
+    assert steps.undo().rain.intensity_mm_h == 1
