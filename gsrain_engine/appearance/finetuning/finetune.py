@@ -1,6 +1,6 @@
 """Fine-tunes CycleGAN-Turbo: start or resume, learn, show, save; a generator that may be stopped anywhere.
 
-`session/jobs/transfer_training_work.py` brings LPIPS along, for the command line and the window.
+`session/appearance/transfer_training_work.py` brings LPIPS along, for the command line and the window.
 """
 
 import logging
