@@ -40,7 +40,7 @@ fuzz: setup
 	$(RUN)/python -m tests.fuzz --minutes $(or $(MINUTES),10) $(READERS)
 
 pictures: setup
-	xvfb-run --auto-servernum --server-args="-screen 0 1440x900x24" $(RUN)/python -m docs.take_pictures
+	xvfb-run --auto-servernum --server-args="-screen 0 1440x1300x24" $(RUN)/python -m docs.take_pictures
 	$(RUN)/python -m docs.render_pictures
 	$(RUN)/python -m docs.notebook_pictures
 
@@ -76,7 +76,7 @@ bundle: system
 	cd $(RELEASE) && $(CURDIR)/dist/gsrain/gsrain doctor
 	cd $(RELEASE) && $(CURDIR)/dist/gsrain/gsrain render -o bundle.png --size 320x200 --rain 8.5
 
-licences: $(VENV)/.installed-jobs
+licences: $(VENV)/.installed-jobs $(VENV)/.installed-docs
 	$(RUN)/python packaging/licences.py THIRD_PARTY_LICENCES.md
 
 $(RELEASE)/tools: | system
