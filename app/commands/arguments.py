@@ -5,6 +5,7 @@ import math
 import re
 import sys
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, TextIO
 
@@ -25,8 +26,20 @@ _SIZE = re.compile(r"(\d+)x(\d+)")
 
 
 def finite(_kind: Any, value: Any) -> None:
-    """Raise ValueError for NaN and infinity: no option takes them. `value` is what an option was given."""
-    if isinstance(value, float) and not math.isfinite(value):
+    """Raise ValueError for NaN and infinity: no option takes them.
+
+    `value` is what an option was given, or a dataclass of options.
+    """
+    if is_dataclass(value):
+        for field in fields(value):
+            try:
+                finite(field.type, getattr(value, field.name))
+            except ValueError as error:
+                raise ValueError(f"--{field.name.replace('_', '-')}: {error}") from None
+    elif isinstance(value, list | tuple):
+        for each in value:
+            finite(_kind, each)
+    elif isinstance(value, float) and not math.isfinite(value):
         raise ValueError("Expected a finite number.")
 
 

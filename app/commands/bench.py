@@ -26,6 +26,7 @@ from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.view.home_camera import default_path
 
 from .arguments import JsonFileOrScreen, listed, parse_size, words_go_to, write_numbers
+from .converted_options import RAIN_OPTIONS, converted_options
 from .progress import progress_bar
 
 _SCENES = "random-50k,random-100k,random-200k,random-400k,random-800k,random-1m,random-3m,street"
@@ -78,7 +79,7 @@ def _rainfall(intensity: str) -> Rainfall:
     if not re.fullmatch(r"\d+(\.\d*)?", intensity):
         raise ValueError(f"--rain {intensity}: expected intensities in mm/h such as 0,8.5")
     values = msgspec.to_builtins(load_preset("paper")) | {"intensity_mm_h": float(intensity)}
-    return Rainfall.start(msgspec.convert(values, Rain))
+    return Rainfall.start(converted_options(values, Rain, RAIN_OPTIONS))
 
 
 def _backends(text: str | None) -> list[Backend]:

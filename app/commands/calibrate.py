@@ -17,6 +17,7 @@ from gsrain_engine.rain.fitting.plot import check_plot_name, write_plot
 from gsrain_engine.rain.fitting.result import FittedCalibration, FittedRow
 
 from .arguments import JsonFile, write_numbers
+from .converted_options import converted_options
 from .progress import progress_bar
 
 _DEFAULTS = FitOptions()
@@ -77,11 +78,7 @@ def _options(intensities: str | None, **others: float) -> FitOptions:
             values["intensities_mm_h"] = [float(each) for each in intensities.split(",")]
         except ValueError:
             raise ValueError(f"--intensities {intensities}: expected numbers in mm/h such as 1.2,8.5,12") from None
-    try:
-        return msgspec.convert(values, FitOptions)
-    except msgspec.ValidationError as error:
-        option = str(error).rpartition("$.")[2].strip("`").partition("[")[0].partition("_mm_h")[0].replace("_", "-")
-        raise ValueError(f"--{option}: {error}") from None
+    return converted_options(values, FitOptions, {"intensities_mm_h": "intensities"})
 
 
 def _numbers(fitted: FittedCalibration, measured: list[MeasuredFile]) -> dict[str, Any]:

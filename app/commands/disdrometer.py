@@ -19,6 +19,7 @@ from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
 
 from .arguments import JsonFile, write_numbers
+from .converted_options import RAIN_OPTIONS, converted_options
 from .progress import progress_bar
 
 _ROWS_MM = np.array([0.1, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0])
@@ -81,7 +82,7 @@ def _rain(
     chosen = load_preset(preset) if preset is not None else Rain(intensity_mm_h=8.5)
     asked = {"intensity_mm_h": intensity, "calibration": calibration, "closure": closure, "seed": seed}
     values = msgspec.to_builtins(chosen) | {name: value for name, value in asked.items() if value is not None}
-    return msgspec.convert(values, Rain)
+    return converted_options(values, Rain, RAIN_OPTIONS)
 
 
 def _times(seconds: float, record: float) -> Float64[np.ndarray, " records_and_one"]:

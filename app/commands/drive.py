@@ -30,6 +30,7 @@ from gsrain_engine.scene.open_scene import open_to_draw
 from gsrain_engine.scene.scene import Scene
 
 from .arguments import JsonFile, write_numbers
+from .converted_options import RAIN_OPTIONS, converted_options
 from .driving.drive_files import DriveFiles, file_word, write_drives
 from .driving.driver_options import DriverOptions
 from .evaluate.run_facts import run_facts, told_facts
@@ -186,11 +187,12 @@ def _rains(own: Rain, intensities: str | None, preset: str | None, exposure: flo
         base = msgspec.structs.replace(load_preset(preset), intensity_mm_h=own.intensity_mm_h, seed=own.seed)
     values = msgspec.to_builtins(base) | ({} if exposure is None else {"exposure_s": exposure})
     if intensities is None:
-        return [msgspec.convert(values, Rain)]
+        return [converted_options(values, Rain, RAIN_OPTIONS)]
     words = _words(intensities)
     if not words or not all(re.fullmatch(r"\d*\.?\d+", word) and float(word) <= 100 for word in words):
         raise ValueError(f"--rain {intensities}: expected mm/h within 0..100 with commas between, such as 0,1.2,8.5,12")
-    return [msgspec.convert(values | {"intensity_mm_h": r}, Rain) for r in sorted({float(word) for word in words})]
+    chosen = sorted({float(word) for word in words})
+    return [converted_options(values | {"intensity_mm_h": each}, Rain, RAIN_OPTIONS) for each in chosen]
 
 
 def _opened(name: str, wet: bool) -> Scene:

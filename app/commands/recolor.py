@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import msgspec
 from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
@@ -17,6 +16,7 @@ from gsrain_engine.scene.open_scene import open_scene
 from gsrain_engine.session.jobs.torch_extra import require_torch
 
 from .arguments import JsonFile, write_numbers
+from .converted_options import converted_options
 from .outputs import check_scene_folder, check_writable, report_beside
 from .progress import followed
 
@@ -82,12 +82,8 @@ def recolor(
 def _options(options: dict[str, Any], colors: dict[str, Any], *, replace_clear: bool) -> Any:
     from gsrain_engine.reconstruct.recoloring.run import RecolorOptions
 
-    try:
-        return msgspec.convert(options | {"replace_clear": replace_clear, "colors": colors}, RecolorOptions)
-    except msgspec.ValidationError as error:
-        field = str(error).rpartition("$.")[2].strip("`").removeprefix("colors.")
-        option = {"width_px": "width", "memory_mb": "memory"}.get(field, field).replace("_", "-")
-        raise ValueError(f"--{option}: {error}") from None
+    values = options | {"replace_clear": replace_clear, "colors": colors}
+    return converted_options(values, RecolorOptions, {"width_px": "width", "memory_mb": "memory"})
 
 
 def _pictures(images: Path, capture: Path | None) -> Capture:

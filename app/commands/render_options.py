@@ -12,6 +12,10 @@ from gsrain_engine.rain.rain import Rain
 from gsrain_engine.render.recording import Codec, Recording
 from gsrain_engine.scene.scene import Scene
 
+from .converted_options import RAIN_OPTIONS, converted_options
+
+_RECORDING_OPTIONS = {"size_px": "size", "first_s": "from", "last_s": "to"}
+
 
 @Parameter(name="*")  # its fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +61,7 @@ class RainOptions:
             "wetness": self.wetness,
         }
         values = msgspec.to_builtins(rain) | {name: value for name, value in asked.items() if value is not None}
-        return msgspec.convert(values, Rain)
+        return converted_options(values, Rain, RAIN_OPTIONS)
 
 
 @Parameter(name="*")
@@ -105,7 +109,7 @@ class RecordingOptions:
             "codec": self.codec,
             "quality": self.quality,
         }
-        return msgspec.convert(values, Recording)
+        return converted_options(values, Recording, _RECORDING_OPTIONS)
 
 
 def _words(text: str) -> list[str]:

@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal
 
-import msgspec
 from cyclopts import Parameter
 
 from gsrain_engine.appearance.methods import method_of
@@ -13,10 +12,10 @@ from gsrain_engine.appearance.views.choice import Source, ViewChoice
 from gsrain_engine.rain.wetness import wetness
 from gsrain_engine.session.jobs.torch_extra import HOW_TO_GET_DIFFUSION, require_torch
 
+from .converted_options import converted_options
+
 _OPTIONS = {"source": "views", "width_px": "width", "side_px": "side", "tile_px": "tile", "sensors": "cameras"}
 _MOST_MM_H = 100.0
-
-_Settings = TypeVar("_Settings")
 
 
 @Parameter(name="*")  # its fields are options of the command, without a prefix
@@ -37,8 +36,10 @@ class ViewOptions:
     def choice(self) -> ViewChoice:
         """The same as a value; raises ValueError, which names the option, where it is out of bounds."""
         sensors = tuple(name.strip() for name in self.cameras.split(",") if name.strip())
-        return _converted(
-            {"source": self.views, "count": self.count, "width_px": self.width, "sensors": sensors}, ViewChoice
+        return converted_options(
+            {"source": self.views, "count": self.count, "width_px": self.width, "sensors": sensors},
+            ViewChoice,
+            _OPTIONS,
         )
 
 
@@ -91,14 +92,14 @@ class MethodOptions:
         """The same as a value; raises ValueError, which names the option, for what does not go."""
         if self.no_normals and self.normals not in ("depth", "none"):
             raise ValueError(f"--no-normals and --normals {self.normals} exclude each other")
-        return _converted(
+        return converted_options(
             {
                 "wetness": self._wetness(), "seed": self.seed, "images": self.images, "weights": self.weights,
                 "base": self.base, "normals": "none" if self.no_normals else self.normals,
                 "normals_weights": self.normals_weights, "normals_checkout": self.normals_checkout,
                 "guide": self.guide, "mutual_attention": self.mutual_attention, "neighbours": self.neighbours,
                 "side_px": self.side, "tile_px": self.tile, "device": self.device, "precision": self.precision,
-            }, TransferSettings,
+            }, TransferSettings, _OPTIONS,
         )  # fmt: skip
 
     def check(self) -> None:
@@ -121,11 +122,3 @@ class MethodOptions:
         if not 0 <= self.rain <= _MOST_MM_H:
             raise ValueError(f"--rain {self.rain:g}: must be within 0..{_MOST_MM_H:g} mm/h")
         return wetness(self.rain)
-
-
-def _converted(values: dict[str, Any], kind: type[_Settings]) -> _Settings:
-    try:
-        return msgspec.convert(values, kind)
-    except msgspec.ValidationError as error:
-        field = str(error).rpartition("$.")[2].strip("`")
-        raise ValueError(f"--{_OPTIONS.get(field, field).replace('_', '-')}: {error}") from None

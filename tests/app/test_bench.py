@@ -82,7 +82,7 @@ def test_a_dash_prints_the_json_alone(capsys):
         ({"sizes": "48x32,7"}, "--sizes 7: expected WIDTHxHEIGHT"),
         ({"rain": "1,,2"}, "--rain '1,,2': expected values with single commas"),
         ({"rain": "much"}, "--rain much: expected intensities"),
-        ({"rain": "101"}, "<= 100.0 - at `$.intensity_mm_h`"),
+        ({"rain": "101"}, "--rain: Expected `float` <= 100.0"),
         ({"scenes": "random-lots"}, "random-lots: random scenes are named by their size"),
         ({"scenes": "random-21m"}, "at most 20m"),
         ({"scenes": "nowhere.ply"}, "nowhere.ply"),

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import av
+import numpy as np
 import pytest
 
 from app.command_line import BAD_INPUT, run
@@ -12,7 +13,8 @@ from gsrain_engine.drive.agents.constant_velocity import ConstantVelocityAgent
 from gsrain_engine.drive.rollouts.json_lines import read_rollout
 from gsrain_engine.drive.scenario.scenario_files import load_scenario, scenario_names
 from gsrain_engine.scene.formats import write_scene
-from small_scene import small_scene
+from gsrain_engine.scene.members import Layer
+from small_scene import patch, small_scene
 
 LEAD = """
 name: standing
@@ -123,6 +125,17 @@ def test_a_scene_without_cameras_is_driven_through_but_not_filmed(scenario, tmp_
     assert not (tmp_path / "out").exists()
     assert drive(*asked) == 0
     assert (tmp_path / "out" / "table.csv").is_file() and not list((tmp_path / "out").glob("*.mp4"))
+
+
+def test_a_start_inside_of_the_scene_says_what_to_look_at(scenario, tmp_path, capsys):
+    scene = small_scene("boxed")
+    box = Layer("box", patch((-1, 0, 0.6), np.array([2.0, 0, 0]), np.array([0, 0, 0.8]), 12, (0.5, 0.5, 0.5)))
+    write_scene(replace(scene, layers=(*scene.layers, box)), tmp_path / "boxed")
+    asked = (scenario, "--agent", "oracle-idm", "--no-video")
+    assert drive(*asked, "--scene", tmp_path / "boxed", "-o", tmp_path / "inside") == 0
+    assert "It begins inside of what stands in scene 'boxed'" in capsys.readouterr().out
+    assert drive(*asked, "-o", tmp_path / "free") == 0
+    assert "It begins inside" not in capsys.readouterr().out
 
 
 class _Broken(ConstantVelocityAgent):

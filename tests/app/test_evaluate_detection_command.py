@@ -10,6 +10,7 @@ from PIL import Image
 
 from app.command_line import BAD_INPUT, run
 from boxy_scene import boxy_scene
+from colmap_files import write_binary, write_pictures
 from gsrain_engine.datasets.capture import View
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.evaluate.detection.detector import Detector
@@ -194,6 +195,13 @@ def test_scenes_without_anything_to_find_say_what_to_do(detector, tmp_path, caps
     write_scene(boxy_scene(), tmp_path / "far")
     assert evaluate(tmp_path / "far", detector, "--seeds", "1", "--rain", "0") == BAD_INPUT
     assert "shows an object of 16 px or more" in capsys.readouterr().err
+
+
+def test_a_capture_whose_unit_nobody_knows_says_what_to_do(detector, tmp_path, capsys):
+    write_binary(tmp_path / "sparse" / "0")
+    write_pictures(tmp_path)
+    assert evaluate(tmp_path, detector) == BAD_INPUT
+    assert "its unit of length is unknown, and rain falls in metres; take" in capsys.readouterr().err
 
 
 def test_a_reconstruction_is_tried_beside_its_pictures(project, detector, tmp_path):

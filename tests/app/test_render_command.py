@@ -55,13 +55,13 @@ def test_cameras_passes_and_twin(project, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--to", "0"], "last_s must be above first_s (0 s)"),
+        (["--to", "0"], "--to must be above --from (0 s)"),
         (["--duration", "1", "--to", "1"], "--duration and --to exclude each other"),
         (["--cameras", "TOP"], "no camera 'TOP', only one/FRONT"),
-        (["--passes", "colour"], "'colour' - at `$.passes[0]`"),
-        (["--motion-blur", "65"], "<= 64 - at `$.motion_blur`"),
+        (["--passes", "colour"], "--passes: Invalid enum value 'colour', expected alpha, color, depth, labels"),
+        (["--motion-blur", "65"], "--motion-blur: Expected `int` <= 64"),
         (["--codec", "vp9"], "vp9 needs an output that ends in .webm"),
-        (["--quality", "64"], "quality must be within 0..51"),
+        (["--quality", "64"], "--quality must be within 0..51"),
     ],
 )
 def test_bad_options_end_with_one_line_and_code_2(project, tmp_path, capsys, options, words):

@@ -30,6 +30,7 @@ from gsrain_engine.scene.content_hash import file_hash, scene_hash
 from gsrain_engine.scene.open_scene import open_to_draw
 from gsrain_engine.scene.scene import Scene
 
+from ..converted_options import RAIN_OPTIONS, converted_options
 from ..progress import followed
 from ..sources import names_scene
 
@@ -82,7 +83,7 @@ def base_rain(preset: str | None, exposure_s: float | None) -> Rain:
     """Everything about the rain but its intensity and its seed."""
     rain = load_preset(preset) if preset is not None else Rain()
     values = msgspec.to_builtins(rain) | ({} if exposure_s is None else {"exposure_s": exposure_s})
-    return msgspec.convert(values, Rain)
+    return converted_options(values, Rain, RAIN_OPTIONS)
 
 
 def opened_source(renderer: Renderer, asked: DetectionSource, rain: Rain) -> PreparedSource:

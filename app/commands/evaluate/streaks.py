@@ -7,7 +7,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import msgspec
 from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
@@ -19,8 +18,10 @@ from gsrain_engine.evaluate.streak_statistics import ANGLE_EDGES_DEG, LENGTH_EDG
 from gsrain_engine.rain.rain import Rain
 
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
+from ..converted_options import converted_options
 from ..progress import progress_bar
 
+_OPTIONS = {"intensity_mm_h": "rain", "aperture_mm": "aperture", "rain_light": "light"}
 _LEAST_FRAMES, _MOST_FRAMES = 5, 200
 _COLUMNS = 130
 _log = logging.getLogger(__name__)
@@ -59,7 +60,7 @@ def streaks(
     with progress_bar("Measuring", len(sequences)) as advance:
         for sequence in sequences:
             labelled = sequence.intensity_mm_h
-            ours = msgspec.convert({"intensity_mm_h": labelled if rain is None else rain, **knobs}, Rain)
+            ours = converted_options({"intensity_mm_h": labelled if rain is None else rain, **knobs}, Rain, _OPTIONS)
             numbers = evenly_chosen(sequence, frames)
             rows.append(compare(sequence, ours, exposures, numbers, part or above_horizon(sequence)))
             advance()

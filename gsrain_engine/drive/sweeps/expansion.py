@@ -5,7 +5,7 @@ from pathlib import Path
 from msgspec import structs
 
 from gsrain_engine.evaluate.detection.detector_place import find_detector
-from gsrain_engine.extensions import AGENTS, extension
+from gsrain_engine.extensions import AGENTS, DECODERS, SCENE_FORMATS, extensions
 from gsrain_engine.rain.calibration import calibration_names
 from gsrain_engine.scene.content_hash import file_hash, scene_hash
 
@@ -56,12 +56,12 @@ def _drive(
         program=program_version(),
         scene=scenario.scene,
         scene_hash=hashes.scene(scenario.scene),
+        packages=_packages([scenario.scene, *models], agent),
         files=hashes.files([rain.calibration, *models, agent.detector, agent.description, own and str(own)]),
         seed=seed,
         backend=sweep.backend,
         scenario=scenario,
         agent=agent,
-        agent_version=_version(agent.name),
     )
 
 
@@ -75,10 +75,20 @@ def _complete(agent: AgentChoice) -> AgentChoice:
         raise ValueError(f"agent {agent.title}: {error}") from None
 
 
-def _version(agent: str) -> str:
-    """Return name and version of the package that an agent comes from; nothing for those of this program."""
-    installed = extension(AGENTS, agent)
-    return "" if installed is None else f"{installed.package} {installed.version}".strip()
+def _packages(scenes: list[str], agent: AgentChoice | None = None) -> dict[str, str]:
+    """Return versions of the packages that read these files of Gaussians, that the agent comes from, that add decoders.
+
+    Which decoder a detector takes shows only when it is opened: all of them count.
+    """
+    used = [each for each in extensions(SCENE_FORMATS) if any(_has_suffix(name, each.name) for name in scenes)]
+    if agent is not None:
+        used += [each for each in extensions(AGENTS) if each.name == agent.name]
+        used += extensions(DECODERS) if agent.detector is not None else ()
+    return {each.package: each.version for each in used}
+
+
+def _has_suffix(name: str, suffix: str) -> bool:
+    return name.lower().endswith(f".{suffix.lower()}")
 
 
 def _renders(sweep: RenderSweep) -> list[Job]:
@@ -94,6 +104,7 @@ def _renders(sweep: RenderSweep) -> list[Job]:
             program=program_version(),
             scene=scene,
             scene_hash=hashes.scene(scene),
+            packages=_packages([scene]),
             files=hashes.files([sweep.rain.calibration]),
             seed=seed,
             backend=sweep.backend,

@@ -27,6 +27,8 @@ class _Content(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     scene_hash: str
     files: dict[str, str] = {}
     """Hashes of all other files that it reads, by the names under which it reads them."""
+    packages: dict[str, str] = {}
+    """Versions of other packages whose agent, scene formats or decoders it uses, by their names."""
     seed: int
     backend: Backend
 
@@ -42,8 +44,6 @@ class DriveJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     scenario: Scenario
     """As it is run: with its rain, its scene, and where its seed has it begin."""
     agent: AgentChoice
-    agent_version: str = ""
-    """Name and version of the package that it comes from, where that is not this program."""
 
     @property
     def title(self) -> str:

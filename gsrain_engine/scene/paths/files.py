@@ -1,6 +1,7 @@
 """Camera paths from files: our own JSON, nerfstudio's `camera_path.json`, and the `cameras.json` of 3DGS."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
@@ -19,6 +20,7 @@ from .easing import Easing
 
 VERSION = 2
 """Since 2: interpolation, easing, loop. A path that has none of them is written as version 1, for older readers."""
+_NUMBERS = re.compile(r"([0-9]+)")
 _KEYS_PER_SECOND = 1.0
 """Speed at which a list of training cameras, which has no times, is flown along."""
 
@@ -110,11 +112,23 @@ def _nerfstudio(values: dict[str, Any]) -> CameraPath:
 
 
 def _training_cameras(values: list[dict[str, Any]]) -> CameraPath:
-    """3DGS: camera-to-world rotation with OpenCV axes, focal lengths in pixels."""
+    """3DGS: camera-to-world rotation with OpenCV axes, focal lengths in pixels.
+
+    Where all have names of their own they are flown in the order of these, frame_2 before frame_10: the file may have
+    those for testing first.
+    """
+    if len({_in_order(key) for key in values} - {()}) == len(values):
+        values = sorted(values, key=_in_order)
     rotations = np.array([key["rotation"] for key in values], np.float64).reshape(-1, 3, 3)
     positions = np.array([key["position"] for key in values], np.float64).reshape(-1, 3)
     fov = [np.degrees(2 * np.arctan(0.5 * key["height"] / key["fy"])) for key in values]
     return _from_poses(np.arange(len(values)) / _KEYS_PER_SECOND, rotations, positions, np.array(fov))
+
+
+def _in_order(camera: dict[str, Any]) -> tuple[tuple[bool, int, str], ...]:
+    """Return the name of a training camera with its numbers as numbers; nothing where it has none."""
+    parts = _NUMBERS.split(str(camera.get("img_name", "")))
+    return tuple((part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts if part)
 
 
 def _from_poses(

@@ -1,6 +1,7 @@
 import msgspec
 import pytest
 
+from extension_package import installed
 from gsrain_engine.drive.sweeps.expansion import jobs_of
 from gsrain_engine.drive.sweeps.sweep import DriveSweep, RenderSweep, load_sweep, sweep_names
 
@@ -50,6 +51,29 @@ def test_an_id_follows_the_bytes_of_a_drivers_own_file(tmp_path):
     driver.write_text("other")
     assert {job.id for job in first}.isdisjoint(job.id for job in jobs_of(sweep))
     assert first[0].files.keys() == {str(driver)} and first[0].agent.title == "mine.py:Mine"
+
+
+def test_an_id_follows_the_version_of_a_package_that_is_used(tmp_path):
+    scenario = write_scenario(tmp_path / "short.yaml", write_road(tmp_path / "road"))
+    (tmp_path / "car.blob").touch()
+    user = {"id": "lead", "model": str(tmp_path / "car.blob"), "ahead_m": 15.0, "behaviour": {"kind": "stationary"}}
+    other = write_scenario(tmp_path / "other.yaml", tmp_path / "road", road_users=[user])
+    entries = {"gsrain.agents": {"mine": "mine:A"}, "gsrain.decoders": {"mine": "mine:D"}}
+    formats = {"gsrain.scene_formats": {"blob": "blobs:F"}}
+    seer = {"name": "constant-velocity", "detector": str(other)}
+    with (
+        installed(tmp_path / "a", "drivers", {"mine.py": ""}, entries),
+        installed(tmp_path / "b", "blobs", {"blobs.py": ""}, formats),
+    ):
+        jobs = jobs_of(sweep_of([scenario, other], agents=["mine", "constant-velocity"], seeds=1))
+        seeing = jobs_of(sweep_of([scenario], agents=[seer], seeds=1))
+    drivers, blobs = {"drivers": "0.1.0"}, {"blobs": "0.1.0"}
+    found = {(job.scenario.name, job.agent.name): job.packages for job in jobs}
+    assert found == {
+        ("short", "mine"): drivers, ("short", "constant-velocity"): {},
+        ("other", "mine"): drivers | blobs, ("other", "constant-velocity"): blobs}  # fmt: skip
+    assert seeing[0].packages == drivers
+    assert msgspec.structs.replace(jobs[0], packages={"drivers": "0.2.0"}).id != jobs[0].id
 
 
 def test_a_seed_begins_alike_at_every_intensity_and_seed_0_as_it_was_written(tmp_path):

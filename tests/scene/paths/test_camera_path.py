@@ -107,6 +107,21 @@ def test_nerfstudio_and_3dgs_files_show_the_same_flight(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("names", "order"),
+    [
+        (["frame_9", "frame_1", "frame_10", "frame_2"], [1, 3, 0, 2]),  # those for testing stand first
+        (["b", "a", "b", "c"], [0, 1, 2, 3]),
+        ([None, "a", "b", "c"], [0, 1, 2, 3]),
+    ],
+)
+def test_training_cameras_are_flown_in_the_order_of_their_names(tmp_path, names, order):
+    values = [{"width": 600, "height": 400, "position": [k, 0, 0], "rotation": LEVEL.tolist(), "fx": 400, "fy": 400}
+              | ({} if name is None else {"img_name": name}) for k, name in enumerate(names)]  # fmt: skip
+    (tmp_path / "cameras.json").write_text(json.dumps(values))
+    assert read_camera_path(tmp_path / "cameras.json").positions[:, 0].tolist() == order
+
+
+@pytest.mark.parametrize(
     ("text", "words"),
     [
         ("[]", "expected keyframes"),
