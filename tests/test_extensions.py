@@ -20,6 +20,7 @@ from gsrain_engine.extensions import GROUPS, PANELS, ExtensionError, extension
 from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, read_disdrometer
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats import read_scene, write_scene
+from gsrain_engine.scene.formats.gaussian_files import writable_suffixes
 from small_scene import small_scene
 
 MODULE = """
@@ -113,6 +114,10 @@ def test_a_format_that_fails_to_write_leaves_no_file_and_ours_can_not_be_replace
     assert list(tmp_path.iterdir()) == []
     write_scene(small_scene(), tmp_path / "scene.ply")
     assert read_scene(tmp_path / "scene.ply").gaussian_count > 0
+
+
+def test_the_dialog_to_save_offers_what_can_be_written(bad_lab):
+    assert writable_suffixes() == (".ply", ".splat", ".spz", ".smoke")
 
 
 def test_methods_that_can_not_be_used_are_left_out_and_said_once(bad_lab, caplog):

@@ -5,7 +5,7 @@ from imgui_bundle import ImVec2, imgui
 from gsrain_engine.session.questions import Answer, Question
 from gsrain_engine.session.session import Session
 
-from ..widgets.file_dialogs import SAVED_KINDS, ask_where_to_save
+from ..widgets.file_dialogs import ask_where_to_save, saved_kinds
 
 _WIDTH_EM = 34.0
 
@@ -14,7 +14,7 @@ def draw_questions(session: Session) -> None:
     """Draw the present question until it is answered, and the dialog for a place where one is wanted."""
     wanted, session.files.place_wanted = session.files.place_wanted, None
     if wanted is not None:
-        ask_where_to_save("Save the scene", SAVED_KINDS, lambda chosen: wanted(chosen[0]))
+        ask_where_to_save("Save the scene", saved_kinds(), lambda chosen: wanted(chosen[0]))
     question = session.questions.present
     if question is None:
         return

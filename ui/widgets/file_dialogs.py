@@ -5,13 +5,17 @@ from pathlib import Path
 
 from imgui_bundle import im_file_dialog
 
-Answer = Callable[[list[Path]], None]
+from gsrain_engine.scene.formats.gaussian_files import writable_suffixes
 
-SAVED_KINDS = "Scene folders{.*},Scene files{.ply,.splat,.spz}"
-"""What a scene can be saved as."""
+Answer = Callable[[list[Path]], None]
 
 _waiting: dict[str, Answer] = {}
 """By the dialogs' titles; there is one window."""
+
+
+def saved_kinds() -> str:
+    """What a scene can be saved as; files of installed packages too."""
+    return f"Scene folders{{.*}},Scene files{{{','.join(writable_suffixes())}}}"
 
 
 def ask_what_to_open(title: str, kinds: str, answer: Answer, *, several: bool = False) -> None:

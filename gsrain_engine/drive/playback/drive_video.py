@@ -2,10 +2,11 @@
 
 from collections.abc import Iterator
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
-import matplotlib as mpl
 import msgspec
 import numpy as np
 from jaxtyping import Float64, UInt8
@@ -39,6 +40,8 @@ _BEHIND_M, _AHEAD_M, _ACROSS_M = 12.0, 68.0, 14.0
 """What is shown from above: so far behind the ego vehicle, ahead of it, and across in all."""
 _COLUMNS, _END = (0.015, 0.14, 0.36, 0.46, 0.57, 0.7, 0.86), 5
 """Where the figures of the moment stand, in shares of the width; from the sixth on, in the end, how the drive ended."""
+_LETTER, _SMALLEST_PX = 1 / 52, 11
+"""Size of the figures' letters, as a share of the width that holds all figures in one line; they stay legible."""
 _ENDS = {"time": "time is up", "completed": "end of the route", "agent": "the agent gave up"}
 _NEAR_M = 0.3
 _DOT_M = 0.14
@@ -116,12 +119,17 @@ class DriveVideo:
         if time_s >= played.end_s - 1e-9:
             hit = played.rollout.steps[-1].collision
             words[_END:] = [_ENDS.get(played.rollout.end, played.rollout.end) if hit is None else f"collision: {hit}"]
-        size = max(11, round(width / 52))
-        strip = Image.new("RGB", (width, round(2.1 * size)), _PAPER)
+        size = max(_SMALLEST_PX, round(width * _LETTER))
+        slots = figure_slots(width)
+        tall = round(2.1 * size)
+        strip = Image.new("RGB", (width, tall * (1 + slots[-1].line)), _PAPER)
         draw = ImageDraw.Draw(strip)
-        for number, (place, word) in enumerate(zip(_COLUMNS, words, strict=False)):
+        for number, (slot, word) in enumerate(zip(slots, words, strict=False)):
+            is_last = number == len(words) - 1
             color = _HIT if number == _END and "collision" in word else _INK
-            draw.text((round(place * width), strip.height / 2), word, color, _font(size), anchor="lm")
+            room = width - slot.left_px if is_last else slot.room_px
+            fitting = _fitted(draw, word, room, _font(size))
+            draw.text((round(slot.left_px), (slot.line + 0.5) * tall), fitting, color, _font(size), anchor="lm")
         return np.asarray(strip)
 
     def _above(self, time_s: float, width: int) -> Picture:
@@ -156,6 +164,35 @@ class DriveVideo:
         """What stands beside the road and could be hit."""
         base = self._played.base
         return occupied_space_of(base, ground_of(base)).places
+
+
+class Slot(NamedTuple):
+    """Where a figure of the moment stands."""
+
+    line: int
+    left_px: float
+    room_px: float
+
+
+def figure_slots(width: int) -> list[Slot]:
+    """Where the figures stand in a film of a width in pixels: in one line, or in as many as a narrow one needs."""
+    whole = max(width, _SMALLEST_PX / _LETTER)
+    slots: list[Slot] = []
+    line, first = 0, _COLUMNS[0]
+    for left, right in pairwise((*_COLUMNS, 1.0)):
+        if left > first and (right - first + _COLUMNS[0]) * whole > width:
+            line, first = line + 1, left
+        slots.append(Slot(line, (left - first + _COLUMNS[0]) * whole, (right - left) * whole))
+    return slots
+
+
+def _fitted(draw: ImageDraw.ImageDraw, word: str, room_px: float, font: ImageFont.FreeTypeFont) -> str:
+    """Shorten what would run into the next figure."""
+    if draw.textlength(word, font) <= room_px:
+        return word
+    while word and draw.textlength(f"{word}\u2026", font) > room_px:
+        word = word[:-1]
+    return f"{word}\u2026"
 
 
 class _Noted(msgspec.Struct):
@@ -260,4 +297,6 @@ def _fixed(pixel: Float64[np.ndarray, "2"]) -> tuple[int, int]:
 
 
 def _font(size: int) -> ImageFont.FreeTypeFont:
+    import matplotlib as mpl  # whose font it is; the window loads this module at its start
+
     return ImageFont.truetype(Path(mpl.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size)

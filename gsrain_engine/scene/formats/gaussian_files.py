@@ -42,6 +42,12 @@ def scene_suffixes() -> tuple[str, ...]:
     return (*(row.suffix for row in FORMATS), *installed_suffixes())
 
 
+def writable_suffixes() -> tuple[str, ...]:
+    """Return the ends of the names of files that can be written, those of installed packages that work last."""
+    ours = [row.suffix for row in FORMATS if row.write is not None]
+    return (*ours, *(suffix for suffix in installed_suffixes() if _is_written(suffix)))
+
+
 def read_gaussians(path: Path) -> Gaussians:
     """Read a single file of any known format.
 
@@ -68,7 +74,7 @@ def write_gaussians(gaussians: Gaussians, path: Path) -> None:
     """
     row = format_of(path)
     if row is None or row.write is None:
-        writable = _listed([each.suffix for each in FORMATS if each.write is not None])
+        writable = _listed(writable_suffixes())
         reason = "can't be written" if row is None else f"{row.suffix} is read but not written"
         raise SceneFormatError(path, f"{reason}: the name must end in {writable}{_slip(path)}")
     if path.is_dir():
@@ -105,6 +111,14 @@ def close_match(name: str, known: Sequence[str]) -> str:
 def _slip(path: Path) -> str:
     """Ask for the suffix that a name which belongs to no format may have been meant to end in."""
     return close_match(path.suffix, scene_suffixes()) if format_of(path) is None else ""
+
+
+def _is_written(suffix: str) -> bool:
+    try:
+        row = installed_format(Path(f"scene{suffix}"))
+    except SceneFormatError:
+        return False
+    return row is not None and row.write is not None
 
 
 def _listed(suffixes: Sequence[str]) -> str:
