@@ -81,7 +81,7 @@ class Window:
         parameters.imgui_window_params.show_status_fps = False
         parameters.docking_params.docking_splits = _splits()
         viewport = hello_imgui.DockableWindow(VIEWPORT, "MainDockSpace", self._draw_viewport)
-        viewport.can_be_closed = False
+        viewport.can_be_closed = viewport.include_in_view_menu = False
         # What is drawn over the picture never makes it scroll; a bar that comes and goes would change its size.
         flags = imgui.WindowFlags_
         viewport.imgui_window_flags = int(flags.no_scrollbar) | int(flags.no_scroll_with_mouse)
@@ -176,9 +176,9 @@ class Window:
 
 
 def _splits() -> list[hello_imgui.DockingSplit]:
-    right = hello_imgui.DockingSplit("MainDockSpace", "RightSpace", imgui.Dir.right, 0.27)
-    right_bottom = hello_imgui.DockingSplit("RightSpace", "RightBottomSpace", imgui.Dir.down, 0.45)
-    bottom = hello_imgui.DockingSplit("MainDockSpace", "BottomSpace", imgui.Dir.down, 0.22)
-    left = hello_imgui.DockingSplit("MainDockSpace", "LeftSpace", imgui.Dir.left, 0.2)
-    left_bottom = hello_imgui.DockingSplit("LeftSpace", "LeftBottomSpace", imgui.Dir.down, 0.45)
+    right = hello_imgui.DockingSplit("MainDockSpace", "RightSpace", imgui.Dir.right, 0.28)
+    right_bottom = hello_imgui.DockingSplit("RightSpace", "RightBottomSpace", imgui.Dir.down, 0.41)
+    bottom = hello_imgui.DockingSplit("MainDockSpace", "BottomSpace", imgui.Dir.down, 0.24)
+    left = hello_imgui.DockingSplit("MainDockSpace", "LeftSpace", imgui.Dir.left, 0.25)
+    left_bottom = hello_imgui.DockingSplit("LeftSpace", "LeftBottomSpace", imgui.Dir.down, 0.5)
     return [right, right_bottom, bottom, left, left_bottom]

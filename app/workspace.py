@@ -84,6 +84,7 @@ class Workspace:
             )
             is_first_there = panel.side not in [each.side for each in panels[: panels.index(panel)]]
             window.focus_window_at_next_frame = is_first_there
+            window.can_be_closed = False  # a cross on each tab takes the room of two more; View > Panels hides them
             windows.append(window)
         return windows
 

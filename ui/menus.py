@@ -4,8 +4,9 @@ from imgui_bundle import hello_imgui, imgui
 
 from gsrain_engine.session.session import Session
 
-from .actions import ACTIONS
+from .actions import ACTION_GROUPS
 from .actions.action import Action
+from .panel_windows import bring_to_front, panel_windows
 
 MENUS = ("File", "Edit", "Select", "Scene", "Rain", "Drive", "Timeline", "View", "Help")
 
@@ -14,10 +15,16 @@ def draw_menus(session: Session) -> None:
     """Draw the menus into the menu bar."""
     for title in MENUS:
         if imgui.begin_menu(title):
-            for action in ACTIONS:
-                if action.menu == title:
+            groups = [[action for action in group if action.menu == title] for group in ACTION_GROUPS]
+            for number, group in enumerate(filter(None, groups)):
+                if number:
+                    imgui.separator()
+                for action in group:
                     _item(session, action)
+                if title == "File" and number == 0:
+                    _recent(session)
             if title == "View":
+                imgui.separator()
                 _panels()
             imgui.end_menu()
 
@@ -32,16 +39,26 @@ def _item(session: Session, action: Action) -> None:
         action.run(session)
 
 
+def _recent(session: Session) -> None:
+    """Open a scene of last time."""
+    if imgui.begin_menu("Open recent", bool(session.files.recent)):
+        for path in session.files.recent:
+            if imgui.menu_item(f"{path.name}##{path}", "", False)[0]:
+                session.open(str(path))
+            imgui.set_item_tooltip(str(path))
+        imgui.end_menu()
+
+
 def _panels() -> None:
     """Say which panels are shown."""
-    docking = hello_imgui.get_runner_params().docking_params
     if imgui.begin_menu("Panels"):
-        for window in docking.dockable_windows:
-            if window.can_be_closed:
-                _, window.is_visible = imgui.menu_item(window.label, "", window.is_visible)
+        for window in panel_windows():
+            clicked, window.is_visible = imgui.menu_item(window.label, "", window.is_visible)
+            if clicked and window.is_visible:
+                bring_to_front(window)
         imgui.separator()
         if imgui.menu_item("Put everything back in its place", "", False)[0]:
-            docking.layout_reset = True
-            for window in docking.dockable_windows:
+            hello_imgui.get_runner_params().docking_params.layout_reset = True
+            for window in panel_windows():
                 window.is_visible = True
         imgui.end_menu()

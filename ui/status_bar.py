@@ -30,6 +30,10 @@ def status_bar(session: Session) -> None:
     room = imgui.get_window_width() - imgui.calc_text_size(right).x - 2 * imgui.get_font_size()
     if tool is not None:
         imgui.same_line()
+        corner, height = imgui.get_window_pos(), imgui.get_window_height()
+        low, high = imgui.get_cursor_screen_pos(), (corner.x + room, corner.y + height)
+        imgui.push_clip_rect(low, high, True)
         imgui.text_disabled(f"   {tool.name}: {tool.help}")
+        imgui.pop_clip_rect()
     imgui.same_line(room)
     imgui.text_disabled(right)

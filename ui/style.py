@@ -8,6 +8,8 @@ _THEMES = {
     "dark": hello_imgui.ImGuiTheme_.darcula_darker,
     "light": hello_imgui.ImGuiTheme_.light_rounded,
 }
+_LEAST_TAB_PX = 30.0
+"""In a narrow window tabs get short before they have to be scrolled."""
 
 
 def apply_style(preferences: Preferences) -> None:
@@ -18,6 +20,9 @@ def apply_style(preferences: Preferences) -> None:
     style.frame_rounding = style.grab_rounding = 3.0
     style.window_rounding = 0.0
     style.popup_rounding = 4.0
+    style.window_menu_button_position = imgui.Dir.none
+    style.tab_min_width_shrink = _LEAST_TAB_PX
+    style.docking_node_has_close_button = False
     style.item_spacing = ImVec2(8, 5)
     style.frame_padding = ImVec2(7, 4)
     style.scale_all_sizes(preferences.ui_scale)

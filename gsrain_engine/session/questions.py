@@ -1,7 +1,8 @@
 """What the session asks a person, one question after the other, and what happens on each answer."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,16 @@ class Question:
 
 def nothing() -> None:
     """Do nothing: what Cancel means."""
+
+
+def replace_question(there: Sequence[Path], write: Callable[[], None]) -> Question:
+    """Ask whether files that are there already may be written over; `write` does it."""
+    are = "are" if len(there) > 1 else "is"
+    listed = ", ".join(path.name for path in there[:3]) + (f" and {len(there) - 3} more" if len(there) > 3 else "")
+    yes = Answer("Replace", write, "Write over what is there.")
+    return Question(
+        "Replace?", f"{listed} {are} there already.", (yes, Answer("Cancel", nothing, "Leave it as it is."))
+    )
 
 
 class Questions:

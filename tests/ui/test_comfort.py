@@ -6,6 +6,7 @@ from gsrain_engine.scene.scene import Scene
 from ui.actions import ACTIONS
 from ui.menus import MENUS
 from ui.pages.command_palette import matches
+from ui.panel_windows import panel_windows
 from ui.panels.table import PANELS
 from ui.shortcuts import chord, chord_name
 from ui.tools import TOOLS
@@ -54,6 +55,24 @@ def test_a_command_is_found_by_a_part_of_its_name(driver):
         driver.until(lambda: driver.session.rain.intensity_mm_h == 0)
         driver.until(lambda: driver.session.view.dialog == "")
         assert driver.session.history.redo_label == "Preset 8.5"
+
+    driver.run(script)
+
+
+def test_a_panel_that_is_hidden_is_brought_back_by_its_name(driver):
+    def script():
+        (log,) = (each for each in panel_windows() if each.label == "Log")
+        log.is_visible = False
+        driver.frames(3)
+        assert not imgui.internal.find_window_by_name("Log").active
+        driver.ctx.window_focus("//View")
+        driver.press(chord(_CTRL, imgui.Key.p))
+        driver.frames(3)
+        driver.ctx.key_chars("panel log")
+        driver.frames(3)
+        driver.press(imgui.Key.enter)
+        driver.until(lambda: imgui.internal.find_window_by_name("Log").dock_tab_is_visible)
+        assert log.is_visible and len(panel_windows()) == len(PANELS)
 
     driver.run(script)
 

@@ -1,5 +1,6 @@
 """Driving in the real window: from the panel, a roll-out that plays, plots that are clicked, the rig's cameras."""
 
+import av
 import msgspec
 import numpy as np
 import pytest
@@ -80,6 +81,34 @@ def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path)
         assert read_rollout(tmp_path / "mine.jsonl") == drives.playing.rollout
 
     driver.run(script)
+
+
+def test_a_drive_that_plays_is_filmed_and_a_film_is_only_replaced_when_asked(driver, rollout, tmp_path):
+    session, film = driver.session, tmp_path / "crash.mp4"
+
+    def script():
+        session.timeline.fps = 2.0
+        driver.window.drop([str(rollout)])
+        driver.until(lambda: session.drives.playing is not None)
+        driver.click("//Drive/###film roll-out")
+        choose(driver, "Film the drive", film, "Save")
+        driver.until(lambda: len(session.jobs) == 1)
+        job = session.jobs[0]
+        assert session.drives.why_no_film(session) == "A film is being made."
+        driver.until(lambda: job.state != "running", 100_000)
+        assert (job.state, job.error) == ("finished", None)
+        driver.click("//Record/Film the drive...")
+        choose(driver, "Film the drive", film, "Save")
+        assert session.questions.present.text == "crash.mp4 is there already."
+        driver.ctx.item_click("//Replace?/Cancel")
+        driver.frames()
+        assert len(session.jobs) == 1
+
+    driver.run(script)
+    with av.open(str(film)) as container:
+        pictures = sum(1 for _ in container.decode(video=0))
+    end_s = read_rollout(rollout).steps[-1].time_s
+    assert pictures == np.ceil(2 * end_s) + 1 + 2  # the last moment is held for a second
 
 
 def test_a_rollout_that_was_dropped_plays_and_goes_away_again(driver, rollout):

@@ -7,7 +7,7 @@ pytest.importorskip("imgui_bundle")
 from gsrain_engine.rain.weather import passing_shower
 from gsrain_engine.session.session import Session
 from small_scene import small_scene
-from ui.actions.rain import RAIN_ACTIONS
+from ui.actions import ACTIONS
 from ui.tools import TOOLS
 
 
@@ -20,7 +20,7 @@ def session():
 
 
 def do(session, name):
-    (action,) = [each for each in RAIN_ACTIONS if each.name == name]
+    (action,) = [each for each in ACTIONS if each.name == name]
     assert action.help and action.menu == "Rain"
     assert action.is_possible(session)
     action.run(session)
@@ -75,7 +75,7 @@ def test_keys_and_shower(session):
 
 
 def test_the_drop_colour_goes_back_to_the_sky(session):
-    (action,) = [each for each in RAIN_ACTIONS if each.name == "Take the drop colour from the sky"]
+    (action,) = [each for each in ACTIONS if each.name == "Take the drop colour from the sky"]
     assert not action.is_possible(session)
     session.change_rain("Colour", drop_color=(1.0, 0.0, 0.0))
     do(session, action.name)

@@ -7,7 +7,7 @@ from gsrain_engine.session.session import Session
 from gsrain_engine.session.view.chase import ChaseMode
 
 from ..panels.drive_fields import ask_for_scenario
-from ..panels.rollout_fields import ask_for_rollout, ask_where_to_save_rollout
+from ..panels.rollout_fields import FILM_HELP, ask_for_rollout, ask_where_to_film, ask_where_to_save_rollout
 from ..panels.scenario_fields import ask_where_to_save_scenario
 from .action import Action
 
@@ -50,9 +50,13 @@ DRIVE_ACTIONS = (
     Action("Open a scenario...", ask_for_scenario, "Drive", (), "Our YAML, HUGSIM's YAML, or OpenSCENARIO."),
     Action("Save the scenario...", lambda session: ask_where_to_save_scenario(session.drives.wanted), "Drive", (),
            "As YAML, with the changes of the Drive panel."),
+)  # fmt: skip
+ROLLOUT_ACTIONS = (
     Action("Open a roll-out...", ask_for_rollout, "Drive", (), "A finished drive (JSON lines); it plays in the view."),
     Action("Save the roll-out...", ask_where_to_save_rollout, "Drive", (), "Write the one that plays as JSON lines.",
            _plays),
+    Action("Film the drive...", ask_where_to_film, "Drive", (), FILM_HELP,
+           lambda session: session.drives.why_no_film(session) is None),
     Action("Jump to the collision", _jump_to_collision, "Drive", (), "Stop at the moment in which something is hit.",
            _hits),
     Action("Jump to the smallest TTC", _jump_to_smallest_ttc, "Drive", (),

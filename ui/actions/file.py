@@ -8,15 +8,10 @@ from gsrain_engine.scene.formats.gaussian_files import scene_suffixes
 from gsrain_engine.session.session import Session
 
 from ..shortcuts import chord
-from ..widgets.file_dialogs import SAVED_KINDS, ask_what_to_open, ask_where_to_save
+from ..widgets.file_dialogs import ask_what_to_open, ask_where_to_save, saved_kinds
 from .action import Action
 
 _KEY = imgui.Key
-
-
-def recent_files(session: Session) -> list[Path]:
-    """Scenes that were used last, the latest first."""
-    return session.files.recent
 
 
 def _scenes() -> str:
@@ -42,14 +37,14 @@ def _ask_what_to_import(session: Session) -> None:
 
 
 def _ask_where_to_save(session: Session) -> None:
-    ask_where_to_save("Save the scene", SAVED_KINDS, lambda chosen: session.files.save_as(chosen[0]))
+    ask_where_to_save("Save the scene", saved_kinds(), lambda chosen: session.files.save_as(chosen[0]))
 
 
 def _has_scene(session: Session) -> bool:
     return bool(session.scene.members)
 
 
-FILE_ACTIONS = (
+OPEN_ACTIONS = (
     Action(
         "Open...",
         _ask_what_to_open,
@@ -63,6 +58,8 @@ FILE_ACTIONS = (
         "File",
         help="A street with cars and trees that needs no download.",
     ),
+)
+IMPORT_ACTIONS = (
     Action(
         "Import into this scene...",
         _ask_what_to_import,
@@ -77,6 +74,8 @@ FILE_ACTIONS = (
         help="Add the street's layers and its car to this scene.",
         is_possible=_has_scene,
     ),
+)
+SAVING_ACTIONS = (
     Action(
         "Save",
         lambda session: session.files.save(),
@@ -90,7 +89,7 @@ FILE_ACTIONS = (
         _ask_where_to_save,
         "File",
         chord(_KEY.mod_ctrl, _KEY.mod_shift, _KEY.s),
-        "Save as a scene folder, which keeps everything, or as one file (.ply, .splat, .spz) of what can be seen.",
+        "Save as a scene folder, which keeps everything, or as one file of what can be seen.",
         _has_scene,
     ),
     Action(

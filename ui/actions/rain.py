@@ -45,17 +45,17 @@ def _uses(tool: str) -> Callable[[Session], bool]:
     return lambda session: session.view.tool == tool
 
 
+INTENSITY_ACTIONS = tuple(
+    Action(
+        "Set no rain" if rate == 0 else f"Set {rate:g} mm/h",
+        _set_intensity(rate),
+        _MENU,
+        help="Where the intensity has keys: set one at the present time.",
+        is_on=lambda session, rate=rate: session.rain_now.intensity_mm_h == rate,
+    )
+    for rate in (0.0, 1.2, 8.5, 12.0)
+)
 RAIN_ACTIONS = (
-    *(
-        Action(
-            "Set no rain" if rate == 0 else f"Set {rate:g} mm/h",
-            _set_intensity(rate),
-            _MENU,
-            help="Where the intensity has keys: set one at the present time.",
-            is_on=lambda session, rate=rate: session.rain_now.intensity_mm_h == rate,
-        )
-        for rate in (0.0, 1.2, 8.5, 12.0)
-    ),
     Action(
         "Draw streaks", _switch("streaks", "Streaks"), _MENU, help="Near drops as streaks.", is_on=_is_on("streaks")
     ),
@@ -89,6 +89,8 @@ RAIN_ACTIONS = (
         help="The mean of the scene's own sky in linear light (eq. 3).",
         is_possible=lambda session: session.rain.drop_color is not None,
     ),
+)
+WEATHER_ACTIONS = (
     Action(
         "Key the intensity now",
         lambda session: toggle_key(session, "intensity_mm_h"),

@@ -53,7 +53,21 @@ def _show_path(session: Session) -> None:
     session.timeline.show_path = not session.timeline.show_path
 
 
-TIMELINE_ACTIONS = (
+TIME_ACTIONS = (
+    Action("Go to the start of time", lambda session: session.clock.seek(session.span_s[0]), "Timeline",
+           chord(_KEY.mod_ctrl, _KEY.left_arrow), "To where playing starts."),
+    Action("Go to the end of time", lambda session: session.clock.seek(session.span_s[1]), "Timeline",
+           chord(_KEY.mod_ctrl, _KEY.right_arrow), "To where playing ends."),
+    Action("Go to time...", _ask_for_time, "Timeline", chord(_KEY.mod_ctrl, _KEY.g),
+           "Type a moment in seconds."),
+    Action("Step one frame back", _step(-1), "Timeline", chord(_KEY.left_arrow),
+           "Stop, and go one frame of the film back."),
+    Action("Step one frame on", _step(1), "Timeline", chord(_KEY.right_arrow),
+           "Stop, and go one frame of the film on."),
+    Action("Repeat", _repeat, "Timeline", (), "Begin again at the end of time; else stop there.",
+           is_on=lambda session: session.clock.loop),
+)  # fmt: skip
+CAMERA_KEY_ACTIONS = (
     Action("Add camera key", edits.add_key, "Timeline", chord(_KEY.k),
            "Keep what the view shows as a camera key at the present time."),
     Action("Append camera key", edits.append_key, "Timeline", chord(_KEY.mod_shift, _KEY.k),
@@ -68,18 +82,8 @@ TIMELINE_ACTIONS = (
            (chord(_KEY.comma), chord(_KEY.mod_alt, _KEY.left_arrow)), "And look through it.", _has_path),
     Action("Go to the next camera key", lambda session: moments.go_to_next_key(session, 1), "Timeline",
            (chord(_KEY.period), chord(_KEY.mod_alt, _KEY.right_arrow)), "And look through it.", _has_path),
-    Action("Go to the start of time", lambda session: session.clock.seek(session.span_s[0]), "Timeline",
-           chord(_KEY.mod_ctrl, _KEY.left_arrow), "To where playing starts."),
-    Action("Go to the end of time", lambda session: session.clock.seek(session.span_s[1]), "Timeline",
-           chord(_KEY.mod_ctrl, _KEY.right_arrow), "To where playing ends."),
-    Action("Go to time...", _ask_for_time, "Timeline", chord(_KEY.mod_ctrl, _KEY.g),
-           "Type a moment in seconds."),
-    Action("Step one frame back", _step(-1), "Timeline", chord(_KEY.left_arrow),
-           "Stop, and go one frame of the film back."),
-    Action("Step one frame on", _step(1), "Timeline", chord(_KEY.right_arrow),
-           "Stop, and go one frame of the film on."),
-    Action("Repeat", _repeat, "Timeline", (), "Begin again at the end of time; else stop there.",
-           is_on=lambda session: session.clock.loop),
+)  # fmt: skip
+PATH_ACTIONS = (
     Action("Ride along", lambda session: session.ride(not session.view.follow_path), "Timeline", chord(_KEY.v),
            "Look through the camera that flies along the path.", is_on=lambda session: session.view.follow_path),
     Action("Show the camera path", _show_path, "Timeline", (), "Draw its way and its keys into the picture.",

@@ -1,4 +1,4 @@
-"""The command palette: every action and tool by its name, with its key."""
+"""The command palette: every action, tool and panel by its name, with its key."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -8,6 +8,7 @@ from imgui_bundle import ImVec2, imgui
 from gsrain_engine.session.session import Session
 
 from ..actions import ACTIONS
+from ..panel_windows import bring_to_front, panel_windows
 from ..shortcuts import chord_name
 from ..tools import TOOLS
 
@@ -110,4 +111,8 @@ def _commands(session: Session) -> list[_Command]:
         )
         for action in ACTIONS
     ]
-    return actions + tools
+    panels = [
+        _Command(f"Panel: {each.label}", "", "Bring it to the front.", True, lambda each=each: bring_to_front(each))
+        for each in panel_windows()
+    ]
+    return actions + tools + panels

@@ -62,7 +62,8 @@ def _title(name: str) -> str:
 def _plot(name: str, histogram: Histogram, low: float, high: float) -> tuple[float, float]:
     """Draw the bars with the range over them; returns the range as it was dragged."""
     flags = implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_legend | implot.Flags_.no_title
-    size = ImVec2(-1, _HEIGHT_EM * imgui.get_font_size())
+    width = imgui.get_content_region_avail().x  # -1 would mean at least 200 pixels
+    size = ImVec2(width, _HEIGHT_EM * imgui.get_font_size())
     if not implot.begin_plot("##attribute plot", size, flags | implot.Flags_.no_mouse_text):
         return low, high
     fixed = implot.AxisFlags_.lock | implot.AxisFlags_.no_highlight | implot.AxisFlags_.no_side_switch

@@ -91,7 +91,7 @@ def _plots(session: Session, shown: dict[str, Calibration]) -> None:
 
 
 def _density(shown: dict[str, Calibration], curves: dict[str, CalibrationCurves]) -> None:
-    with plot("Number density", "mm/h", "drops per m3", log_x=True, log_y=True, legend=True) as seen:
+    with plot("Number density", "mm/h", "drops per m\u00b3", log_x=True, log_y=True, legend=True) as seen:
         if seen:
             for name, each in shown.items():
                 line(name, curves[name].intensities_mm_h, curves[name].density_m3)
@@ -110,7 +110,7 @@ def _sizes(shown: dict[str, Calibration], curves: dict[str, CalibrationCurves]) 
 
 def _spectra(session: Session, shown: dict[str, Calibration], curves: dict[str, CalibrationCurves]) -> None:
     intensity = session.rain.intensity_mm_h or 8.5
-    with plot(f"Spectrum at {intensity:.3g} mm/h###spectrum", "mm", "N(D) per m3 and mm", log_y=True) as seen:
+    with plot(f"Spectrum at {intensity:.3g} mm/h###spectrum", "mm", "N(D) per m\u00b3 and mm", log_y=True) as seen:
         if seen:
             for name, each in shown.items():
                 spectrum = spectrum_at(each, intensity)

@@ -17,7 +17,7 @@ _STEP_MM = 0.1
 def disdrometer_panel(session: Session) -> None:
     """Draw the panel."""
     lab, rain = session.lab, session.rain_now
-    plain_label("Area (m2)", "Of the horizontal square that catches drops.")
+    plain_label("Area (m\u00b2)", "Of the horizontal square that catches drops.")
     _, lab.area_m2 = imgui.slider_float("##area", lab.area_m2, 0.005, 10, "%.3g", _LOGARITHMIC)
     plain_label("Time (s)", "Simulated: sixty seconds are counted in a fraction of one.")
     _, lab.seconds = imgui.slider_float("##seconds", lab.seconds, 1, 3600, "%.0f", _LOGARITHMIC)
@@ -46,10 +46,14 @@ def _result(counted: CountedDrops) -> None:
     state = counted.state
     rows = (
         ("Asked for", f"{state.implied_mm_h:.3f} mm/h", "What the drops in the air should carry."),
-        ("Measured", f"{counted.rate_mm_h:.3f} +- {counted.standard_error_mm_h:.3f} mm/h", "With its standard error."),
+        (
+            "Measured",
+            f"{counted.rate_mm_h:.3f} \u00b1 {counted.standard_error_mm_h:.3f} mm/h",
+            "With its standard error.",
+        ),
         ("Off by", f"{_off(counted):+.1f} standard errors", "Within 3 it agrees."),
-        ("Drops counted", f"{counted.drops:,}", f"On {counted.area_m2:g} m2 in {counted.seconds.sum():g} s."),
-        ("Drops per m3", f"{counted.density_m3:,.0f}", f"Asked for: {state.density_m3:,.0f}."),
+        ("Drops counted", f"{counted.drops:,}", f"On {counted.area_m2:g} m\u00b2 in {counted.seconds.sum():g} s."),
+        ("Drops per m\u00b3", f"{counted.density_m3:,.0f}", f"Asked for: {state.density_m3:,.0f}."),
         (
             "Mean diameter",
             "none" if counted.mean_diameter_mm is None else f"{counted.mean_diameter_mm:.3f} mm",
@@ -71,7 +75,7 @@ def _spectrum(counted: CountedDrops) -> None:
     in_air, _ = np.histogram(counted.diameters_mm, edges, weights=counted.in_air_m3)
     law = counted.state.density_m3 * counted.state.sizes.probability_per_mm(middles)
     last = int(np.flatnonzero(in_air).max(initial=0)) + 2
-    with plot("Drops in the air", "mm", "N(D) per m3 and mm", legend=True) as seen:
+    with plot("Drops in the air", "mm", "N(D) per m\u00b3 and mm", legend=True) as seen:
         if seen:
             implot.plot_bars("counted", middles[:last], in_air[:last] / _STEP_MM, 0.9 * _STEP_MM)
             line("asked for", middles[:last], law[:last])

@@ -43,7 +43,7 @@ def display_panel(session: Session) -> None:
     imgui.end_disabled()
     plain_label("Field of view", "Vertical, in degrees.")
     _, session.navigation.vertical_fov_deg = imgui.slider_float(
-        "##fov", session.navigation.vertical_fov_deg, 15, 110, "%.0f"
+        "##fov", session.navigation.vertical_fov_deg, 15, 110, "%.0f\u00b0"
     )
     imgui.separator_text("Window")
     preferences = session.preferences

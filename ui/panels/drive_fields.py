@@ -11,6 +11,7 @@ from gsrain_engine.session.session import Session
 
 from ..widgets.fields import field_info, plain_label
 from ..widgets.file_dialogs import ask_what_to_open
+from ..widgets.square_button import square_button
 from ..widgets.struct_fields import ALL_FILES, edited, place
 
 _SCENARIOS = f"Scenarios{{.yaml,.yml,.xosc}},{ALL_FILES}"
@@ -35,7 +36,7 @@ def scenario_choice(session: Session) -> None:
     changed = "\n* changed, not saved" if wanted.is_changed else ""
     imgui.set_item_tooltip(f"{wanted.source}\n{wanted.scenario.description}".strip() + changed)
     imgui.same_line()
-    if imgui.button(f"{icons_fontawesome_6.ICON_FA_FOLDER_OPEN}###open scenario", (imgui.get_frame_height(), 0)):
+    if square_button(icons_fontawesome_6.ICON_FA_FOLDER_OPEN, "open scenario"):
         ask_for_scenario(session)
     imgui.set_item_tooltip("Open a scenario: our YAML, HUGSIM's YAML, or OpenSCENARIO.")
 

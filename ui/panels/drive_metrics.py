@@ -36,7 +36,7 @@ _ROWS: tuple[tuple[str, str, Callable[[DriveMetrics], str]], ...] = (
     ("S, driven", "Share of moments within the paper's comfort limits, of the motion as driven.",
      lambda m: _number(m.comfort_executed, "{:.3f}")),
     ("S, planned", "The same of the plans: HUGSIM's comfort.", lambda m: _number(m.comfort_planned, "{:.3f}")),
-    ("Braking (m/s2)", "Hardest deceleration of a step.", lambda m: _number(m.hardest_braking_m_s2)),
+    ("Braking (m/s\u00b2)", "Hardest deceleration of a step.", lambda m: _number(m.hardest_braking_m_s2)),
     ("Distance (m)", "Driven.", lambda m: _number(m.distance_m, "{:.1f}")),
     ("Route", "Share of the route ahead of the start that was driven.", lambda m: _percent(m.route_completion)),
     ("HD-score", "HUGSIM's score; none where it can't be measured.", lambda m: _number(m.hdscore, "{:.3f}")),

@@ -13,6 +13,7 @@ from gsrain_engine.session.session import Session
 from ..widgets.fields import end_gesture_when_released, plain_label
 
 _ICONS = icons_fontawesome_6
+_ICON_EM = 1.3
 
 
 @dataclass(slots=True)
@@ -37,11 +38,11 @@ _naming, _marked = _Naming(), _Marked()
 def layers_panel(session: Session) -> None:
     """Draw the panel."""
     scene = session.scene
-    imgui.text(f"{scene.name}: {scene.gaussian_count:,} Gaussians")
+    imgui.text_wrapped(f"{scene.name}: {scene.gaussian_count:,} Gaussians")
     _marked.keys = [key for key in _marked.keys if any(each.key == key for each in scene.members)]
     flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_fixed_fit
     if imgui.begin_table("members", 4, flags):
-        icon = 1.5 * imgui.get_font_size()
+        icon = _ICON_EM * imgui.get_font_size()
         imgui.table_setup_column("shown", imgui.TableColumnFlags_.width_fixed, icon)
         imgui.table_setup_column("locked", imgui.TableColumnFlags_.width_fixed, icon)
         imgui.table_setup_column("name", imgui.TableColumnFlags_.width_stretch)
@@ -95,7 +96,7 @@ def _icon(icon: str, name: str, help_text: str, *, bright: bool) -> bool:
     imgui.push_style_color(imgui.Col_.button, (0.0, 0.0, 0.0, 0.0))
     imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(1, imgui.get_style().frame_padding.y))
     imgui.push_style_var(imgui.StyleVar_.frame_border_size, 0.0)
-    clicked = imgui.button(f"{icon}###{name.replace('/', ' ')}", ImVec2(1.5 * imgui.get_font_size(), 0))
+    clicked = imgui.button(f"{icon}###{name.replace('/', ' ')}", ImVec2(_ICON_EM * imgui.get_font_size(), 0))
     imgui.pop_style_var(2)
     imgui.pop_style_color(2)
     imgui.set_item_tooltip(help_text)
@@ -111,7 +112,9 @@ def _name(session: Session, member: Layer | Actor) -> None:
     clicked, _ = imgui.selectable(words, is_chosen, imgui.SelectableFlags_.allow_double_click)
     kind = f"actor, {member.class_name}" if isinstance(member, Actor) else member.kind
     wet = "" if member.wet_sh is None else " Has wet colours, which come with the wetness of the Rain panel."
-    imgui.set_item_tooltip(f"{kind}.{wet} Double click renames; right click for more; Ctrl marks several to merge.")
+    imgui.set_item_tooltip(
+        f"{member.name}: {kind}.{wet} Double click renames; right click for more; Ctrl marks several to merge."
+    )
     if clicked and imgui.get_io().key_ctrl:
         _marked.keys = [each for each in _marked.keys if each != key] if key in _marked.keys else [*_marked.keys, key]
     elif clicked:

@@ -39,6 +39,8 @@ def log_panel(session: Session) -> None:
     if imgui.begin_child("lines", ImVec2(0, 0)):
         for number, line in enumerate(shown):
             _line(line, number)
+        if not shown:
+            imgui.text_disabled("Nothing was said so." if session.log.lines else "Nothing has been said yet.")
         if imgui.get_scroll_y() >= imgui.get_scroll_max_y():
             imgui.set_scroll_here_y(1.0)
     imgui.end_child()

@@ -26,7 +26,7 @@ def rain_readout_panel(session: Session) -> None:
         ("Drawn drops carry", f"{state.implied_mm_h:.2f} mm/h", "6e-4 pi N E[V D^3] of the drops as drawn."),
         ("Table would carry", f"{state.table_implied_mm_h:.2f} mm/h", "The same for the calibration's own density."),
         (
-            "Drops per m3",
+            "Drops per m\u00b3",
             f"{state.density_m3:,.0f}",
             f"Number density N; the table says {state.table_density_m3:,.0f}.",
         ),

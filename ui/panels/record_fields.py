@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from imgui_bundle import imgui
 
+from gsrain_engine.render.recorded_views import LONGEST_DEFAULT_S
 from gsrain_engine.render.recording import LARGEST_PX, USUAL_QUALITY, Codec, Pass, Recording
 from gsrain_engine.session.session import Session
 
@@ -127,7 +128,10 @@ def moment_fields(session: Session) -> None:
         session.recorder.change(last_s=last_s)
     imgui.same_line()
     changed, ends_itself = imgui.checkbox("its end", ends_itself)
-    imgui.set_item_tooltip("Record until the path or the drive ends.")
+    imgui.set_item_tooltip(
+        "Record until the camera path or the rig's drive ends. "
+        f"Without camera keys of your own a clip of the view's way has at most {LONGEST_DEFAULT_S:g} s."
+    )
     if changed:
         session.recorder.change(last_s=None if ends_itself else end_s)
 

@@ -9,6 +9,7 @@ from gsrain_engine.session.session import Session
 from ..widgets.file_dialogs import ask_where_to_save
 from .rain_panel import WARNING
 from .record_fields import camera_field, format_fields, moment_fields, pass_fields, sample_fields, size_fields
+from .rollout_fields import FILM_HELP, ask_where_to_film
 
 _LONG_S = 60.0
 _KINDS = {
@@ -31,6 +32,8 @@ def record_panel(session: Session) -> None:
     imgui.separator_text("Passes")
     pass_fields(session)
     imgui.separator()
+    if session.drives.playing is not None:
+        _film_instead(session)
     can_begin = _extent(session)
     imgui.begin_disabled(not can_begin)
     half = (imgui.get_content_region_avail().x - imgui.get_style().item_spacing.x) / 2
@@ -44,6 +47,19 @@ def record_panel(session: Session) -> None:
         ask_where_to_record_still(session)
     imgui.set_item_tooltip("The moment and the place that the view shows, in this size and with these samples.")
     imgui.end_disabled()
+
+
+def _film_instead(session: Session) -> None:
+    """Say that a drive which plays is not in the clip, and how it is filmed."""
+    imgui.push_style_color(imgui.Col_.text, WARNING)
+    imgui.text_wrapped("A clip shows the scene with its own traffic, not the drive that plays.")
+    imgui.pop_style_color()
+    why_not = session.drives.why_no_film(session)
+    imgui.begin_disabled(why_not is not None)
+    if imgui.button("Film the drive...", ImVec2(-1, 0)):
+        ask_where_to_film(session)
+    imgui.end_disabled()
+    imgui.set_item_tooltip(why_not or FILM_HELP)
 
 
 def ask_where_to_record(session: Session) -> None:

@@ -12,12 +12,18 @@ from gsrain_engine.session.view.chase import ChaseMode
 
 from ..widgets.colors import color
 from ..widgets.file_dialogs import ask_what_to_open, ask_where_to_save
+from ..widgets.square_button import square_button
 from ..widgets.struct_fields import ALL_FILES
 from .drive_colors import curve_colors
 from .rain_panel import WARNING
 
 _ICONS = icons_fontawesome_6
 _KINDS = "Roll-outs{.jsonl,.parquet}"
+_FILMS = "MP4{.mp4},WebM{.webm}"
+FILM_HELP = (
+    "Film the drive that plays, as `gsrain drive` does: what the front camera sees, figures, and all from above.\n"
+    "In the background, with the Record panel's frame rate, at most 60 a second."
+)
 _MODES: dict[ChaseMode, str] = {
     "behind": "8 m behind the ego vehicle and 3 m up; look around as you like, click again to come back.",
     "front camera": "Through the rig's camera that looks ahead; a drag leaves it.",
@@ -28,16 +34,23 @@ _MODES: dict[ChaseMode, str] = {
 def rollout_fields(session: Session) -> None:
     """Draw them."""
     drives = session.drives
-    half = (imgui.get_content_region_avail().x - imgui.get_style().item_spacing.x) / 2
-    if imgui.button(f"{_ICONS.ICON_FA_FOLDER_OPEN}  Open...###open roll-out", (half, 0)):
+    third = (imgui.get_content_region_avail().x - 2 * imgui.get_style().item_spacing.x) / 3
+    if imgui.button(f"{_ICONS.ICON_FA_FOLDER_OPEN}  Open...###open roll-out", (third, 0)):
         ask_for_rollout(session)
     imgui.set_item_tooltip("Open a finished drive (JSON lines), such as `gsrain drive` writes; or drop it here.")
     imgui.same_line()
     imgui.begin_disabled(drives.playing is None)
-    if imgui.button(f"{_ICONS.ICON_FA_FLOPPY_DISK}  Save as...###save roll-out", (half, 0)):
+    if imgui.button(f"{_ICONS.ICON_FA_FLOPPY_DISK}  Save as...###save roll-out", (third, 0)):
         ask_where_to_save_rollout(session)
-    imgui.set_item_tooltip("Write the one that plays as JSON lines.")
+    imgui.set_item_tooltip("Write the one that plays as JSON lines or Parquet.")
     imgui.end_disabled()
+    imgui.same_line()
+    why_not = drives.why_no_film(session)
+    imgui.begin_disabled(why_not is not None)
+    if imgui.button(f"{_ICONS.ICON_FA_FILM}  Film...###film roll-out", (third, 0)):
+        ask_where_to_film(session)
+    imgui.end_disabled()
+    imgui.set_item_tooltip(why_not or FILM_HELP)
     if not drives.opened:
         imgui.text_wrapped("None is open. Drive, or open a finished drive: it plays in the view, on the timeline.")
         return
@@ -69,6 +82,11 @@ def ask_where_to_save_rollout(session: Session) -> None:
     ask_where_to_save("Save the roll-out", _KINDS, lambda chosen: session.drives.save_as(chosen[0]))
 
 
+def ask_where_to_film(session: Session) -> None:
+    """Ask where the film of the one that plays goes."""
+    ask_where_to_save("Film the drive", _FILMS, lambda chosen: session.drives.film_to(session, chosen[0]))
+
+
 def _row(session: Session, number: int, opened: OpenedRollout, hue: int) -> None:
     drives, height = session.drives, imgui.get_frame_height()
     imgui.push_id(number)
@@ -88,7 +106,7 @@ def _row(session: Session, number: int, opened: OpenedRollout, hue: int) -> None
     draw.add_text(ImVec2(at.x + side + 12, low), imgui.get_color_u32(imgui.Col_.text), opened.title)
     draw.pop_clip_rect()
     imgui.same_line()
-    if imgui.button(f"{_ICONS.ICON_FA_XMARK}###close", (height, 0)):
+    if square_button(_ICONS.ICON_FA_XMARK, "close"):
         drives.close(session, opened)
     imgui.set_item_tooltip("Close it; after the last one the scene comes back.")
     imgui.pop_id()

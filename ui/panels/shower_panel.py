@@ -20,20 +20,31 @@ _WAYS: tuple[tuple[Literal["linear", "smooth"], str], ...] = (
     ("linear", "Straight from key to key."),
     ("smooth", "Rounded, and never beyond the keys on either side (Fritsch and Carlson, 1980)."),
 )
+_WIDE_EM, _NUMBERS_EM = 50.0, 22.0
+"""From so wide on the keys stand beside the plot, and so wide are they there."""
 SERIES_FILES = "Disdrometer files{.nc,.cdf,.dat,.txt,.csv,.log,.mis,.gz},All files{.*}"
 
 
 def shower_panel(session: Session) -> None:
     """Draw the panel."""
+    room, em = imgui.get_content_region_avail(), imgui.get_font_size()
+    is_wide = room.x > _WIDE_EM * em
     _buttons(session)
     if session.lab.series is not None:
         _series(session)
-    shower_plot(session)
+    width = room.x - _NUMBERS_EM * em if is_wide else room.x
+    imgui.begin_group()
+    shower_plot(session, width)
+    imgui.end_group()
+    if is_wide:
+        imgui.same_line()
+    imgui.begin_group()
     if session.weather.keys:
         _between(session)
         shower_table(session)
     else:
         imgui.text_wrapped("No keys: the rain stays as it is set. Double click in the plot to set the first one.")
+    imgui.end_group()
 
 
 def add_shower(session: Session) -> None:

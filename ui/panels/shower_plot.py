@@ -13,7 +13,7 @@ _FILL = ImVec4(0.42, 0.74, 1.0, 0.16)
 _KEY = ImVec4(1.0, 0.93, 0.45, 1.0)
 _NOW = ImVec4(1.0, 0.45, 0.35, 1.0)
 _LIMIT = ImVec4(1.0, 0.72, 0.3, 0.55)
-_HEIGHT_EM, _ROW_EM = 12.0, 1.5
+_HEIGHT_EM, _LEAST_EM, _ROW_EM = 12.0, 7.0, 1.5
 _GRIP_PX = 8.0
 _MOST_KEYS, _MOST_POINTS = 150, 20_000
 _CLOSEST_S = 0.01
@@ -21,15 +21,18 @@ _CLOSEST_S = 0.01
 _ROWS: tuple[tuple[Keyed, str], ...] = (("wind_m_s", "wind"), ("exposure_s", "exposure"))
 
 
-def shower_plot(session: Session) -> None:
-    """Draw the plot and act on the mouse."""
+def shower_plot(session: Session, width: float) -> None:
+    """Draw the plot, so many pixels wide, and act on the mouse."""
     shower, weather = session.shower, session.weather
     shower.follow(weather, weather.heaviest_mm_h(session.rain))
     fit, menu = implot.get_input_map().fit, implot.get_input_map().menu
     implot.get_input_map().fit = implot.get_input_map().menu = imgui.MouseButton_.middle  # both are the keys' own here
     flags = implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_mouse_text
     flags |= implot.Flags_.no_legend | implot.Flags_.no_title
-    if implot.begin_plot("##shower", ImVec2(-1, _HEIGHT_EM * imgui.get_font_size()), flags):
+    em = imgui.get_font_size()
+    below = em * _ROW_EM * sum(weather.is_keyed(name) for name, _ in _ROWS)
+    height = min(max(imgui.get_content_region_avail().y - below, _LEAST_EM * em), _HEIGHT_EM * em)
+    if implot.begin_plot("##shower", ImVec2(width, height), flags):
         _axes(session)
         _curve(session)
         is_over_key = _keys(session)  # before the clock: where both are, the mouse takes the key
@@ -67,7 +70,9 @@ def _curve(session: Session) -> None:
         implot.plot_inf_lines("calibrated up to", height, spec=spec)
         at = implot.plot_to_pixels(limits.x.max, CALIBRATED_UP_TO_MM_H)
         words = "beyond calibration"
-        place = ImVec2(at.x - imgui.calc_text_size(words).x - 5, at.y - imgui.get_font_size() - 2)
+        above = at.y - imgui.get_font_size() - 2
+        y = above if above >= implot.get_plot_pos().y else at.y + 1  # a low plot has no room above the line
+        place = ImVec2(at.x - imgui.calc_text_size(words).x - 5, y)
         implot.push_plot_clip_rect()
         implot.get_plot_draw_list().add_text(place, imgui.get_color_u32(_LIMIT), words)
         implot.pop_plot_clip_rect()

@@ -6,6 +6,8 @@ from gsrain_engine.rain.weather import HEAVIEST_MM_H, KEYED, Weather, WeatherKey
 from gsrain_engine.session.rain.shower_view import TypedNumber
 from gsrain_engine.session.session import Session
 
+from ..widgets.square_button import square_button
+
 _ROWS_SHOWN = 8
 _TITLES = {
     "time": ("s", "Time of the key in the scene, in seconds."),
@@ -52,7 +54,7 @@ def _row(session: Session, key: WeatherKey, number: int, columns: list[str]) -> 
         imgui.set_next_item_width(-1)
         _cell(session, key, number, name)
     imgui.table_next_column()
-    if imgui.button(f"{icons_fontawesome_6.ICON_FA_XMARK}###remove {number}"):
+    if square_button(icons_fontawesome_6.ICON_FA_XMARK, f"remove {number}"):
         session.set_weather("Remove a key", session.weather.without_key(key.time_s))
     imgui.set_item_tooltip("Remove all that is keyed at this time.")
 

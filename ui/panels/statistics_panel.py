@@ -9,7 +9,7 @@ from .rain_panel import WARNING
 
 def statistics_panel(session: Session) -> None:
     """Draw the panel."""
-    imgui.text(f"{imgui.get_io().framerate:.1f} frames a second, back end: {session.backend}")
+    imgui.text_wrapped(f"{imgui.get_io().framerate:.1f} frames a second, back end: {session.backend}")
     if not session.detail.is_exact:
         imgui.text_colored(WARNING, f"while the camera moves: {session.detail}")
     else:
@@ -18,7 +18,7 @@ def statistics_panel(session: Session) -> None:
         for name, value in session.statistics.items():
             imgui.table_next_row()
             imgui.table_next_column()
-            imgui.text(name)
+            imgui.text(name.replace(" ms", " (ms)"))
             imgui.table_next_column()
-            imgui.text(f"{value:.1f}" if name.endswith("ms") else f"{value:,.0f}")
+            imgui.text(f"{value:,.0f}" if float(value).is_integer() else f"{value:,.2f}")
         imgui.end_table()

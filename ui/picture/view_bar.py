@@ -26,11 +26,11 @@ def view_bar(session: Session) -> None:
     _, session.view.follow_path = imgui.checkbox("Ride along", session.view.follow_path)
     imgui.set_item_tooltip("Ride along the camera path: your own keys, else the ego vehicle's drive or a swing (V).")
     imgui.same_line()
-    _choice("##look", session.view, "look", get_args(Look), "Look: the picture, or what it is made of.", 7)
+    _choice("##look", session.view, "look", get_args(Look), "Look: the picture, or what it is made of.", 9, "Look: ")
     imgui.same_line()
-    _choice("##split", session.view, "split", get_args(Split), "Compare two pictures side by side.", 8.5)
+    _choice("##split", session.view, "split", get_args(Split), "Compare two pictures side by side.", 11, "Compare: ")
     imgui.same_line()
-    words = f"{session.clock.time_s:.2f} s   {session.navigation.speed_m_s:.1f} m/s"
+    words = f"{session.clock.time_s:.2f} s   flies {session.navigation.speed_m_s:.3g} m/s"
     if imgui.calc_text_size(words).x < imgui.get_content_region_avail().x:
         imgui.text_disabled(words)
         imgui.set_item_tooltip("Time in the scene, and how fast W A S D fly (Ctrl+wheel). F1 shows all keys.")
@@ -46,10 +46,13 @@ def _button(icon: str, name: str, help_text: str) -> bool:
 
 
 def _choice(
-    name: str, options: ViewOptions, field: str, choices: tuple[str, ...], help_text: str, width_em: float
+    name: str, options: ViewOptions, field: str, choices: tuple[str, ...], help_text: str, width_em: float, title: str
 ) -> None:
     imgui.set_next_item_width(width_em * imgui.get_font_size())
-    changed, picked = imgui.combo(name, choices.index(getattr(options, field)), list(choices))
+    present = getattr(options, field)
+    if imgui.begin_combo(name, f"{title}{present}"):
+        for each in choices:
+            if imgui.selectable(each, each == present)[0]:
+                setattr(options, field, each)
+        imgui.end_combo()
     imgui.set_item_tooltip(help_text)
-    if changed:
-        setattr(options, field, choices[picked])

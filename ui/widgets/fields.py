@@ -11,7 +11,8 @@ from gsrain_engine.rain.rain import Box, Rain
 from gsrain_engine.session.session import Session
 
 LABEL_WIDTH = 0.42
-"""Share of a panel's width that labels take."""
+"""Share of a panel's width that labels take; longer ones take more."""
+_BESIDE_EM = 1.0
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,8 @@ def plain_label(text: str, help_text: str) -> None:
     imgui.text(text)
     if help_text:
         imgui.set_item_tooltip(help_text)
-    imgui.same_line(LABEL_WIDTH * imgui.get_window_width())
+    at = max(LABEL_WIDTH * imgui.get_window_width(), imgui.calc_text_size(text).x + _BESIDE_EM * imgui.get_font_size())
+    imgui.same_line(at)
     imgui.set_next_item_width(-1)
 
 

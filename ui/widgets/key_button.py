@@ -6,6 +6,7 @@ from gsrain_engine.rain.weather import Keyed
 from gsrain_engine.session.session import Session
 
 from . import fields
+from .square_button import square_button
 
 KEYED = ImVec4(0.95, 0.66, 0.25, 1.0)
 HERE = ImVec4(1.0, 0.93, 0.45, 1.0)
@@ -28,8 +29,7 @@ def key_button(session: Session, name: Keyed) -> None:
     imgui.push_style_color(imgui.Col_.button, ImVec4(0, 0, 0, 0))
     color = HERE if is_here else KEYED if is_keyed else imgui.get_style_color_vec4(imgui.Col_.text_disabled)
     imgui.push_style_color(imgui.Col_.text, color)
-    height = imgui.get_frame_height()
-    clicked = imgui.button(f"{icons_fontawesome_6.ICON_FA_DIAMOND}###key {name}", (height, height))
+    clicked = square_button(icons_fontawesome_6.ICON_FA_DIAMOND, f"key {name}")
     imgui.pop_style_color(2)
     if is_here:
         imgui.set_item_tooltip(f"Remove the key of the {title} at {now_s:.2f} s.")

@@ -9,6 +9,7 @@ from imgui_bundle import icons_fontawesome_6, imgui
 
 from .fields import FieldInfo, field_info, plain_label
 from .file_dialogs import ask_what_to_open
+from .square_button import square_button
 
 _Settings = TypeVar("_Settings", bound=msgspec.Struct)
 
@@ -61,7 +62,7 @@ def place(
         take(typed)
     imgui.set_item_tooltip(f"{info.help}\n{value}".strip())
     imgui.same_line()
-    if imgui.button(f"{icons_fontawesome_6.ICON_FA_FOLDER_OPEN}###choose {name}", (imgui.get_frame_height(), 0)):
+    if square_button(icons_fontawesome_6.ICON_FA_FOLDER_OPEN, f"choose {name}"):
         ask_what_to_open(f"{info.title}{'' if kinds else ' (folder)'}", kinds, lambda chosen: take(_first(chosen)))
     imgui.set_item_tooltip("Choose a file..." if kinds else "Choose a folder...")
 

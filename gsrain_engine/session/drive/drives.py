@@ -16,8 +16,10 @@ from ..desk import Desk
 from ..files.saved_scene import saved_scene
 from ..files.scene_files import SceneFiles
 from ..log import told
+from ..questions import replace_question
 from ..view.chase import Chase, ChaseMode
 from .drive_job import DriveJob, Reading
+from .film_job import DriveFilmJob
 from .mosaic import Mosaic
 from .opened_rollout import OpenedRollout, open_rollout
 from .shown_rollout import ShownRollout
@@ -25,6 +27,7 @@ from .wanted_drive import WantedDrive
 
 logger = logging.getLogger("gsrain")
 
+_FILM_FPS = (1.0, 60.0)
 _MOST = 12
 """So many roll-outs stay open; the oldest makes room."""
 
@@ -96,6 +99,32 @@ class Drives:
         if self.playing is not None:
             path = path if path.suffix else path.with_suffix(".jsonl")
             self._writing.append((self.playing, path, self._files.submit(write_rollout, path, self.playing.rollout)))
+
+    def why_no_film(self, session: Desk) -> str | None:
+        """Why the one that plays can't be filmed now; None where it can."""
+        if self.playing is None or self._shown_in(session.scene) is None:
+            return "No roll-out plays: drive, or open one, in the Drive panel."
+        if not session.scene.rigs:
+            return "This scene has no rig whose front camera could film the drive."
+        if any(isinstance(job, DriveFilmJob) for job in session.running_jobs):
+            return "A film is being made."
+        return None
+
+    def film_to(self, session: Desk, path: Path) -> None:
+        """Film the one that plays, in the background; what is there already is only replaced when a person says so."""
+        if self.playing is None:
+            return
+        path, rollout = path if path.suffix else path.with_suffix(".mp4"), self.playing.rollout
+
+        def begin() -> None:
+            fps = min(max(session.timeline.fps, _FILM_FPS[0]), _FILM_FPS[1])
+            scene, known = saved_scene(session), self._scene_files.known
+            session.start(DriveFilmJob(scene, rollout, path, fps, self._files, known))
+
+        if path.exists():
+            session.questions.ask(replace_question([path], begin))
+        else:
+            begin()
 
     @property
     def is_working(self) -> bool:

@@ -43,10 +43,14 @@ def record_project(folder: Path, recording: Recording) -> Iterator[Progress]:
 
 def record_in_worker(folder: Path, recording: Recording) -> Iterator[Progress]:
     """Record as work of another process: told to end, it ends its videos first."""
-    signal.signal(signal.SIGTERM, _leave)
+    end_files_when_told()
     yield from record_project(folder, recording)
 
 
+def end_files_when_told() -> None:
+    """In a worker: unwind when the process is told to end, so that its videos are closed properly."""
+    signal.signal(signal.SIGTERM, _leave)
+
+
 def _leave(*_: object) -> None:
-    """Unwind, so that whatever is open is closed properly."""
     sys.exit(1)

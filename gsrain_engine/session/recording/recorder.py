@@ -22,7 +22,7 @@ from ..desk import Desk
 from ..files.saved_scene import saved_scene
 from ..files.scene_files import SceneFiles
 from ..log import told
-from ..questions import Answer, Question, nothing
+from ..questions import replace_question
 from .recording_job import RecordingJob
 
 _LABEL_DRAWINGS = 1 / 3
@@ -117,11 +117,7 @@ class Recorder:
         if not there:
             self._start(recording, scene)
             return
-        are = "are" if len(there) > 1 else "is"
-        listed = ", ".join(path.name for path in there[:3]) + (f" and {len(there) - 3} more" if len(there) > 3 else "")
-        yes = Answer("Replace", lambda: self._start(recording, scene), "Write over what is there.")
-        no = Answer("Cancel", nothing, "Leave it as it is.")
-        self._session.questions.ask(Question("Replace?", f"{listed} {are} there already.", (yes, no)))
+        self._session.questions.ask(replace_question(there, lambda: self._start(recording, scene)))
 
     def _start(self, recording: Recording, scene: Scene) -> None:
         session, home = self._session, self._scene_files.home
