@@ -13,6 +13,7 @@ from gsrain_engine.drive.metrics.figures import kinematics_figure, write_figure
 from gsrain_engine.drive.metrics.metrics_files import write_metrics_csv
 from gsrain_engine.drive.metrics.run_page import drive_report
 from gsrain_engine.drive.metrics.table import results_table
+from gsrain_engine.drive.playback.drive_film import film_drive
 from gsrain_engine.drive.playback.drive_video import DriveVideo
 from gsrain_engine.drive.playback.played_rollout import PlayedRollout
 from gsrain_engine.drive.road.route import recorded_route
@@ -21,7 +22,6 @@ from gsrain_engine.drive.rollouts.rollout import Rollout
 from gsrain_engine.drive.scenario.scenario import Scenario
 from gsrain_engine.evaluate.report.report_file import write_report
 from gsrain_engine.render.renderer import Renderer
-from gsrain_engine.render.video import VideoWriter
 from gsrain_engine.scene.atomic_files import whole_file
 from gsrain_engine.scene.scene import Scene
 
@@ -110,14 +110,8 @@ def _write_run(files: DriveFiles, run: Run, scene: Scene, renderer: Renderer | N
 
 
 def _film(path: Path, video: DriveVideo, fps: float) -> None:
-    pictures = video.pictures(fps)
-    first = next(pictures)
-    with (
-        VideoWriter(path, first.shape[1], first.shape[0], fps) as writer,
-        progress_bar("Filming", video.count(fps)) as advance,
-    ):
-        for picture in (first, *pictures):
-            writer.write(picture)
+    with progress_bar("Filming", video.count(fps)) as advance:
+        for _ in film_drive(path, video, fps):
             advance()
 
 
