@@ -1,4 +1,4 @@
-"""Far drops as haze: few, large, faint Gaussians that take from a ray what the drops themselves would take."""
+"""Far drops as haze: large, faint Gaussians that take from a ray what the drops themselves would take."""
 
 from dataclasses import dataclass
 
@@ -14,6 +14,9 @@ LIFETIME_S, FADE_S = 4.0, 1.0
 
 RAMP_M = (3.0, 5.0)
 """Between these distances from the camera haze fades in: nearer is the streaks' part."""
+
+_SMOOTH_COUNT, _MOST_SHARES = 16_000, 16
+"""M Gaussians are split up into the geometric mean of M and the first, at most 16 each: few enough to be drawn."""
 
 _SALT = 0x68617A65  # keeps haze apart from drops of the same seed
 _FADE_MEAN = (LIFETIME_S - FADE_S) / LIFETIME_S  # a smoothstep has mean 1/2
@@ -39,19 +42,30 @@ def make_haze(
     anchor_to_world: Float64[np.ndarray, "4 4"],
     camera_position: Float64[np.ndarray, "3"],
 ) -> Haze:
-    """Place the haze of a moment; `count` is M, the number within the haze region at full opacity."""
+    """Place the haze of a moment; `count` is M, the number within the haze region at full opacity.
+
+    Each of the M is drawn as several fainter ones that share its opacity, each at a place of its own, or as it is where
+    a person set their number or wants the paper's reset.
+    """
+    shares = 1.0
     if rain.haze_reset == "paper":
         positions, fade = _jumping(rain, count, time_s, anchor_to_world)
     else:
-        positions, fade = _fading(rain, count, time_s, anchor_to_world)
+        shares = _shares(count) if rain.haze_count is None else 1.0
+        positions, fade = _fading(rain, count * shares, time_s, anchor_to_world)
     ramp = _smoothstep((np.linalg.norm(positions - camera_position, axis=1) - RAMP_M[0]) / (RAMP_M[1] - RAMP_M[0]))
-    opacity = rain.haze_opacity * fade * ramp
+    opacity = rain.haze_opacity / shares * fade * ramp
     kept = opacity > 0
     return Haze(positions[kept].astype(np.float32), opacity[kept].astype(np.float32))
 
 
+def _shares(count: int) -> float:
+    """How many Gaussians each of the M is split up into: the haze gets smoother by the root of it."""
+    return float(np.clip(np.sqrt(_SMOOTH_COUNT / max(count, 1)), 1, _MOST_SHARES))
+
+
 def _fading(
-    rain: Rain, count: int, time_s: float, anchor_to_world: Float64[np.ndarray, "4 4"]
+    rain: Rain, count: float, time_s: float, anchor_to_world: Float64[np.ndarray, "4 4"]
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
     """World-fixed Gaussians on a lattice around the region: each lives at one place, then is born elsewhere."""
     size = np.array(rain.haze_region.size_m) + 6 * rain.haze_sigma_m  # 3 sigma beyond each face
@@ -67,9 +81,9 @@ def _fading(
     # The copy of the lattice point that lies in the cell around the region's centre.
     local = ((birthplace - center / period + 0.5) % 1.0 - 0.5) * period
     inside = np.all(np.abs(local @ anchor_to_world[:3, :3]) <= size / 2, axis=1)
-    elapsed = (age - life) * LIFETIME_S
+    elapsed = (age - life)[inside] * LIFETIME_S
     fade = _smoothstep(elapsed / FADE_S) * _smoothstep((LIFETIME_S - elapsed) / FADE_S)
-    return local[inside] + center, fade[inside]
+    return local[inside] + center, fade
 
 
 def _jumping(

@@ -160,7 +160,7 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         int | None,
         Meta(
             title="Haze Gaussians",
-            description="M: none takes as many as the extinction needs.",
+            description="M: none takes as many as the extinction needs, and splits them up to be smooth.",
             extra={"ge": 0, "le": 200_000},
         ),
     ] = None
