@@ -14,6 +14,7 @@ layout(std430, binding = 6) readonly buffer FoundWork { uint unused[5]; uint fou
 uniform uint first_of_class;  // class c belongs to the drops c * this mod CLASSES, that plus CLASSES, and so on
 uniform uint masks_by_class;
 uniform float exposure;       // s
+uniform bool still_camera;    // opacity by the speed itself, not by that across the line of sight
 uniform float focal;          // px, of the output image
 uniform float phi, haze_opacity, gain;
 uniform float aperture;       // diameter of the lens opening (m)
@@ -50,7 +51,8 @@ void main() {
         vec3 seen = vec3(drop_classes[c].velocity[0], drop_classes[c].velocity[1], drop_classes[c].velocity[2]);
         vec3 sight = p / max(length(p), 1e-9);
         float across = length(seen - dot(seen, sight) * sight), speed = length(seen), limit = focal * diameter;
-        float alpha = min(1.0, diameter / max(across * exposure, 1e-12)) * min(1.0, limit / max(p.z, 1e-9));
+        float smeared = (still_camera ? speed : across) * exposure;
+        float alpha = min(1.0, diameter / max(smeared, 1e-12)) * min(1.0, limit / max(p.z, 1e-9));
         if (p.z > phi * limit) alpha = haze_opacity;
         alpha = min(1.0, gain * alpha);
         // Copies overlap: their opacities would add up to sqrt(2 pi) alpha.

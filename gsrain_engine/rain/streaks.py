@@ -65,9 +65,10 @@ def make_streaks(
 ) -> Streaks:
     """Turn drops into one to n_max Gaussians each, along the path the drop takes through the picture.
 
-    Opacity: eq. 5 with the speed across the line of sight, times eq. 7's attenuation with distance. Copies: eq. 10-12.
-    The integral of alpha over the image is the drop's own cross-section, pi D^2 / 4 (f / d)^2, near and far, in focus
-    and out of it: the circle of confusion adds a sixteenth of its diameter's square to the variances, as a disc has.
+    Opacity: eq. 5 with the speed across the line of sight (`world`: V itself, the paper's form), times eq. 7's
+    attenuation with distance. Copies: eq. 10-12. With the speed across, the integral of alpha over the image is the
+    drop's own cross-section, pi D^2 / 4 (f / d)^2, near and far, in focus and out of it: the circle of confusion adds a
+    sixteenth of its diameter's square to the variances, as a disc has.
     """
     diameters_m = diameters_mm * 1e-3
     seen = velocities_m_s - shutter.velocity_m_s if rain.streak_frame == "camera" else velocities_m_s
@@ -76,13 +77,14 @@ def make_streaks(
     sight = to_drop / np.maximum(np.linalg.norm(to_drop, axis=1, keepdims=True), 1e-9)
     across = np.linalg.norm(seen - np.sum(seen * sight, axis=1, keepdims=True) * sight, axis=1)
 
-    alpha = np.minimum(1, diameters_m / np.maximum(across * shutter.exposure_s, 1e-12))
+    speed = np.linalg.norm(seen, axis=1)
+    smearing = across if rain.streak_frame == "camera" else speed
+    alpha = np.minimum(1, diameters_m / np.maximum(smearing * shutter.exposure_s, 1e-12))
     limit = visible_distance_m(diameters_mm, shutter.focal_px)
     alpha = alpha * np.minimum(1, limit / np.maximum(depth, 1e-9))
     alpha = np.where(depth > rain.critical_haze_coefficient * limit, rain.haze_opacity, alpha)
     alpha = np.minimum(1, rain.streak_gain * alpha)
 
-    speed = np.linalg.norm(seen, axis=1)
     length = speed * shutter.exposure_s
     copies = np.clip(np.rint(length / (axis_ratio(diameters_mm) * diameters_m)), 1, rain.max_copies).astype(np.int64)
     # Copies overlap: their opacities would add up to sqrt(2 pi) alpha. This is exact on the streak's axis; beside it,

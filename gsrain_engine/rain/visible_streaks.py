@@ -34,7 +34,7 @@ def make_visible_streaks(
         ]
     )  # fmt: skip
     _fill(
-        positions_m, diameters_mm, velocities_m_s, shutter.velocity_m_s if moving else np.zeros(3),
+        positions_m, diameters_mm, velocities_m_s, shutter.velocity_m_s if moving else np.zeros(3), moving,
         np.ascontiguousarray(camera.world_to_camera), camera.position, edges, numbers, most, rows, kept,
     )  # fmt: skip
     rows = rows[np.flatnonzero(kept)]
@@ -44,7 +44,9 @@ def make_visible_streaks(
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
-def _fill(positions, diameters, velocities, camera_velocity, world_to_camera, eye, edges, numbers, most, rows, kept):
+def _fill(
+    positions, diameters, velocities, camera_velocity, moving, world_to_camera, eye, edges, numbers, most, rows, kept
+):
     exposure, focal, phi, haze_opacity, gain, aperture, focus = numbers
     chunk_size = 256
     for chunk in numba.prange((len(positions) + chunk_size - 1) // chunk_size):
@@ -61,7 +63,7 @@ def _fill(positions, diameters, velocities, camera_velocity, world_to_camera, ey
             along_sight = (vx * dx + vy * dy + vz * dz) / distance
             across = np.sqrt(max(speed * speed - along_sight * along_sight, 0.0))
 
-            alpha = min(1.0, diameter / max(across * exposure, 1e-12))
+            alpha = min(1.0, diameter / max((across if moving else speed) * exposure, 1e-12))
             limit = focal * diameter
             alpha *= min(1.0, limit / max(depth, 1e-9))
             if depth > phi * limit:

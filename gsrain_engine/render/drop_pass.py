@@ -65,6 +65,7 @@ class DropPass:
         self._set_field(shader, field)
         values = {
             "exposure": shutter.exposure_s,
+            "still_camera": wishes.streak_frame == "world",
             "focal": shutter.focal_px,
             "phi": wishes.critical_haze_coefficient,
             "haze_opacity": wishes.haze_opacity,

@@ -76,6 +76,16 @@ def test_speed_along_the_line_of_sight_does_not_fade():
     assert approaching.opacities[0] == pytest.approx(still.opacities[0], rel=1e-5)
 
 
+def test_the_paper_s_form_takes_the_fall_speed_whatever_the_line_of_sight():
+    """Eq. 5: D / (V T), for a drop that is seen at 30 degrees above the horizon too."""
+    for frame, speed in (("world", 4.0), ("camera", 4.0 * np.cos(np.pi / 6))):
+        position = np.array([[np.cos(np.pi / 6), 0, np.sin(np.pi / 6)]])
+        rain = Rain(streak_frame=frame, max_copies=1)
+        made = make_streaks(position, np.array([2.0]), np.array([[0.0, 0, -4.0]]), shutter(0.01), rain)
+        alpha = 1 - (1 - float(made.opacities[0])) ** np.sqrt(2 * np.pi)
+        assert alpha == pytest.approx(2e-3 / (speed * 0.01), rel=1e-5)
+
+
 def test_opacity_falls_beyond_the_visible_distance():
     near, at, beyond = streak(0.5, 1.0), streak(1.0, 1.0), streak(1.6, 1.0)
     alpha = [1 - (1 - float(s.opacities[0])) ** np.sqrt(2 * np.pi) for s in (near, at, beyond)]
