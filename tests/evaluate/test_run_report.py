@@ -66,6 +66,7 @@ def test_the_page_holds_everything_itself_and_shows_the_figures(tmp_path: Path):
     assert {path.name for path in tmp_path.iterdir()} == {"report.html"}
     assert all(source.startswith("data:image/") for source in page.sources)
     assert "http" not in text and "url(" not in text
+    assert not re.search(r"\d{4}-\d\d-\d\d", text)  # of no day: the same run is the same bytes
     for expected in ("a run", "20.00 dB", "1,234", "CAM_FRONT/1", "1 min 15 s", "minutes", "cores"):
         assert expected in words
 
