@@ -1,6 +1,9 @@
 """The window: hello_imgui owns it. It stands at once; what it shows is loaded behind it."""
 
+import logging
+import signal
 import threading
+import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -14,10 +17,12 @@ import moderngl
 from imgui_bundle import glfw_utils
 
 from gsrain_engine.drive.rollouts.files import ROLLOUT_SUFFIXES
+from gsrain_engine.render.lost_context import LostContextError, check_context, watch, watch_of
 from gsrain_engine.session.preferences.preferences import load_preferences
 from ui.style import apply_style
 
 from .layout_file import own_layout
+from .restart import Left, start_again
 from .window_icon import set_window_icon
 
 if TYPE_CHECKING:
@@ -25,21 +30,34 @@ if TYPE_CHECKING:
 
     from .workspace import Workspace
 
+logger = logging.getLogger("gsrain")
+
 VIEWPORT = "View"
 _SIZE = (1440, 900)
 _REQUIRED_VERSION = 430
+_ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""What a machine that goes down, or the end of a person's session, sends to programs."""
+_DRIVER_RESTARTS_S = 5.0
+"""The longest that a window which has lost its context waits for its driver before it begins again."""
 
 
 def run_window(begin: "Callable[[], Session]", backend: "WindowBackend" = "auto") -> None:
     """Open the window and return when it is closed; `begin` makes the session, in a thread of its own.
 
-    Raises `OSError` where the display can't be opened.
+    A window whose graphics context is lost keeps the work and begins again, in a process of its own.
+
+    Raises `OSError` where the display can't be opened, where its driver fails, and where it can't begin again.
     """
+    began = time.monotonic()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", glfw.GLFWError)
         if not glfw.init():
             raise OSError("the display can't be opened (DISPLAY or WAYLAND_DISPLAY names one that is not there)")
+        # hello_imgui asks for its window after this. Drivers that don't know the wish pass it over.
+        glfw.window_hint(glfw.CONTEXT_ROBUSTNESS, glfw.LOSE_CONTEXT_ON_RESET)
     window = Window(begin, backend)
+    for ending in _ENDINGS:
+        signal.signal(ending, lambda number, _: window.end(number))
     parameters = window.parameters()
     with own_layout() as layout:
         parameters.ini_disable = layout is None
@@ -47,10 +65,17 @@ def run_window(begin: "Callable[[], Session]", backend: "WindowBackend" = "auto"
         parameters.ini_filename = str(layout or "")
         try:
             immapp.run(parameters, immapp.AddOnsParams(with_implot=False))
+        except Exception as failure:  # thrown out of a frame
+            window.fail(failure)
         finally:
             window.close()  # workers end, whatever has ended the window
-    if window.failure is not None:
-        raise window.failure
+    if window.failure is None:
+        return
+    if window.left.kept is not None:
+        logger.error("What was changed is kept for the next window.")
+    if isinstance(window.failure, LostContextError):
+        start_again(window.left, time.monotonic() - began)
+    raise window.failure
 
 
 class Window:
@@ -64,8 +89,9 @@ class Window:
         self._loader = threading.Thread(target=self._load, name="load the program", daemon=True)
         self.workspace: Workspace | None = None
         self._title = ""
+        self._ended_by: int | None = None
         self.failure: Exception | None = None
-        """What kept the program from being loaded; the window closes over it."""
+        """What kept the program from being loaded, or going on; the window closes over it."""
 
     def parameters(self) -> hello_imgui.RunnerParams:
         """What hello_imgui needs to run the window."""
@@ -115,7 +141,25 @@ class Window:
         """Leave it to the session whether the window closes: there may be unsaved changes."""
         if self.workspace is not None:
             glfw.set_window_should_close(glfw_utils.glfw_window_hello_imgui(), False)
+            self.workspace.session.files.keep()  # a desktop that ends a person's session waits for no answer
             self.workspace.session.leave()
+
+    def end(self, by: int) -> None:
+        """End without a question before the next frame, for a signal; unsaved changes are kept."""
+        self._ended_by = by
+
+    def fail(self, failure: Exception) -> None:
+        """End the window over something, and keep unsaved changes at once."""
+        driver_failed = isinstance(failure, moderngl.Error)
+        self.failure = OSError(f"the graphics driver has failed: {failure}") if driver_failed else failure
+        if self._session is not None:
+            self._session.files.keep()
+
+    @property
+    def left(self) -> Left:
+        """What a closed window has left for the next one."""
+        files = self._session.files if self._session is not None else None
+        return Left(files.recovery.kept, files.source) if files is not None else Left()
 
     def close(self) -> None:
         """Stop everything behind the window. To be called once more does nothing."""
@@ -129,6 +173,7 @@ class Window:
         set_window_icon(glfw_utils.glfw_window_hello_imgui())
         implot.create_context()
         self._context = moderngl.create_context(require=_REQUIRED_VERSION)
+        watch(self._context, glfw.get_proc_address)
         glfw.set_drop_callback(glfw_utils.glfw_window_hello_imgui(), lambda _, paths: self.drop(paths))
         glfw.set_window_close_callback(glfw_utils.glfw_window_hello_imgui(), lambda _: self.ask_to_close())
         self._loader.start()
@@ -143,18 +188,36 @@ class Window:
 
     def _update(self) -> None:
         """Once a frame, before anything is drawn."""
+        assert self._context is not None
+        try:
+            check_context(self._context)
+            if self._ended_by is not None:
+                raise InterruptedError(f"the window was ended from outside ({signal.Signals(self._ended_by).name})")
+            self._go_on(self._context)
+        except Exception as failure:
+            self._give_up(self._context, failure)
         if self.failure is not None:
+            self.workspace = None
             hello_imgui.get_runner_params().app_shall_exit = True
-        elif self.workspace is not None:
+
+    def _go_on(self, context: moderngl.Context) -> None:
+        if self.workspace is not None:
             self.workspace.update()
             self._show_title(self.workspace.title)
         elif self._session is not None and not self._loader.is_alive():
             from .workspace import Workspace
 
-            assert self._context is not None
-            self.workspace = Workspace(self._session, self._context, self._backend)
+            self.workspace = Workspace(self._session, context, self._backend)
             for panel in self.workspace.dockable_windows():
                 hello_imgui.add_dockable_window(panel)
+
+    def _give_up(self, context: moderngl.Context, failure: Exception) -> None:
+        """End the window; where its context is lost that is the reason, whatever else has failed."""
+        watcher = watch_of(context)
+        is_lost = watcher is not None and watcher.is_lost()
+        self.fail(LostContextError() if is_lost else failure)
+        if watcher is not None:
+            watcher.wait_for_driver(_DRIVER_RESTARTS_S)
 
     def _show_title(self, title: str) -> None:
         if title != self._title:

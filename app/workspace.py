@@ -8,6 +8,7 @@ import moderngl
 from imgui_bundle import hello_imgui, imgui
 
 from gsrain_engine.rain.rain import Rain
+from gsrain_engine.render.lost_context import LostContextError
 from gsrain_engine.session.jobs.job_folder import remove_abandoned_folders
 from gsrain_engine.session.picture.capture_textures import CaptureTextures
 from gsrain_engine.session.picture.job_previews import JobPreviews
@@ -28,7 +29,12 @@ from ui.status_bar import status_bar
 from ui.style import apply_style
 from ui.widgets.file_dialogs import answer_dialogs
 
+from .restart import left_by_the_last_window
+
 logger = logging.getLogger("gsrain")
+
+_STARTED_AGAIN = "The graphics driver has restarted, and so has this window; jobs have ended."
+_WITH_CHANGES = " What was changed is here, still to be saved; it can't be undone any more."
 
 _SPACES = {
     "left": "LeftSpace",
@@ -51,9 +57,17 @@ _WAITING_FPS = 30.0
 
 
 def begin_session(scene: str | None, rain: Rain | None) -> Session:
-    """Begin a session that opens a scene in the background; none is the built-in street."""
-    session = Session(rain=rain)
-    session.open(scene or "street")
+    """Begin a session that opens a scene in the background; none is the built-in street.
+
+    After a lost graphics context it goes on with what was open.
+    """
+    session, left = Session(rain=rain), left_by_the_last_window()
+    if left is not None and left.kept is not None:
+        session.files.go_on_at(left.kept)
+    else:
+        session.open((left and left.scene) or scene or "street")
+    if left is not None:
+        session.problem = _STARTED_AGAIN + (_WITH_CHANGES if left.kept is not None else "")
     session.files.offer_recovery()
     threading.Thread(target=remove_abandoned_folders, name="tidy up", daemon=True).start()
     return session
@@ -140,6 +154,8 @@ class Workspace:
             textures = self.view.draw(width, height)
             self._captures.draw_points(self.session, self.session.shot(width, height).camera)
             self._mosaic.update(self.session, self.view)
+        except LostContextError:  # the window ends over it before its next frame
+            textures = self.view.last_textures
         except Exception as problem:  # whatever a driver or a scene does: say it once, keep picture and window
             if str(problem) != self._last_problem:
                 self._last_problem = str(problem)

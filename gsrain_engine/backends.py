@@ -7,6 +7,7 @@ from typing import Literal
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
 from gsrain_engine.raster.cuda_backend import open_cuda_renderer
 from gsrain_engine.render.context import NoOpenGLError, is_software, open_context
+from gsrain_engine.render.lost_context import check_context
 from gsrain_engine.render.machine import processor
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.splat_renderer import SplatRenderer
@@ -25,6 +26,7 @@ def open_renderer(backend: Backend = "auto") -> Generator[Renderer]:
     Raises:
         NoOpenGLError: When OpenGL was asked for and can't be had.
         NoCudaError: When gsplat was asked for and can't draw here.
+        LostContextError: When the GPU is lost while the block runs.
     """
     if backend == "cpu":
         yield CpuRenderer()
@@ -40,10 +42,11 @@ def open_renderer(backend: Backend = "auto") -> Generator[Renderer]:
         yield CpuRenderer()
         return
     with context:
-        if backend == "auto" and is_software(context):
-            yield CpuRenderer()
-        else:
-            yield SplatRenderer(context)
+        try:
+            yield CpuRenderer() if backend == "auto" and is_software(context) else SplatRenderer(context)
+        except Exception:
+            check_context(context)  # whatever goes wrong in a lost context does so because of it
+            raise
 
 
 def device_of(renderer: Renderer) -> str:

@@ -7,6 +7,9 @@ from typing import Any, Literal
 
 import moderngl
 
+from .egl_context import EglContext
+from .lost_context import watch
+
 REQUIRED_VERSION = 430
 """OpenGL 4.3: compute shaders and storage buffers."""
 
@@ -43,6 +46,17 @@ def is_software(context: moderngl.Context) -> bool:
 
 
 def _open_egl() -> moderngl.Context:
+    """Open a context that tells when it is lost; where the driver has none, one that does not."""
+    try:
+        loader: Any = EglContext()
+        context = moderngl.create_context(context=loader, require=REQUIRED_VERSION)
+    except (OSError, AttributeError):  # no such library, or no such function in it
+        return _open_plain_egl()
+    watch(context, loader.load_opengl_function)
+    return context
+
+
+def _open_plain_egl() -> moderngl.Context:
     options: Any = {"backend": "egl"}  # moderngl's stub types keyword arguments of a loader as a dictionary
     return moderngl.create_context(standalone=True, require=REQUIRED_VERSION, **options)
 

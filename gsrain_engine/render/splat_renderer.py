@@ -20,6 +20,7 @@ from .gpu_arrays import CHUNK, GpuArrays, Harmonics, WetColors
 from .gpu_timers import GpuTimers
 from .host_sort import HostSort
 from .look import FARTHEST_M, MOST_FRAGMENTS, NEAREST_M, Look
+from .lost_context import check_context
 from .projection_pass import ProjectionPass
 from .shaders import Switches, load_program
 from .splat_store import SplatStore
@@ -38,7 +39,7 @@ class SplatRenderer:
 
     Args:
         context: OpenGL 4.3 or later.
-        precision: Of the picture.
+        precision: Of the picture. Half is for scenes without rain: it loses a part of the haze.
         harmonics: How colours are kept on the GPU.
     """
 
@@ -114,13 +115,18 @@ class SplatRenderer:
             self._take_stock()
 
     def read(self) -> Frame:
-        """Fetch the last picture (and depth, if it was drawn) from the GPU."""
+        """Fetch the last picture (and depth, if it was drawn) from the GPU.
+
+        Raises `LostContextError` where the GPU was reset meanwhile: what comes from it is then no picture.
+        """
         self._take_stock()
         rgba = self._fetch(self.picture)
         depth = self._targets["splats"].depth
-        if depth is None:
+        fetched_depth = None if depth is None else self._fetch(depth)
+        check_context(self.context)
+        if fetched_depth is None:
             return Frame(rgba)
-        weighted, weight = np.moveaxis(self._fetch(depth), -1, 0)
+        weighted, weight = np.moveaxis(fetched_depth, -1, 0)
         return Frame(rgba, np.where(weight > 0.5, weighted / np.maximum(weight, np.float32(0.5)), np.float32(0)))
 
     def upload(

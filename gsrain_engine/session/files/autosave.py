@@ -81,6 +81,11 @@ class Autosave:
         self._about: About | None = None
         self._locks: dict[Path, FileLock] = {}
 
+    @property
+    def place(self) -> Path | None:
+        """Where the document is kept; None while nothing is."""
+        return self._place
+
     def enter(self, home: Path | None, recovered: Path | None = None) -> Entered:
         """Go to another document: what was kept of the one before is removed.
 

@@ -80,6 +80,34 @@ class Recovery:
             self._take_kept(keeping, saved)
         self._keep(saved, stamp, known)
 
+    def keep(self, saved: Document, stamp: DiskStamp | None, known: KnownFiles) -> None:
+        """Keep a document that was changed at once: the program is about to end, and nobody was asked."""
+        present = self._session.history.present
+        if present not in (saved, self._kept):
+            self._begin_keeping(present, stamp, known)
+
+    @property
+    def kept(self) -> Path | None:
+        """Where the document is kept, to be asked after the end; None where it is not."""
+        try:
+            if self._keeping is not None:
+                self._keeping.result()
+        except Exception as error:  # whatever a disk can do
+            told("The autosave can't be written", error)
+        return self._autosave.place
+
+    def left_at(self, place: Path) -> Autosaved:
+        """What the window before this one has kept, to go on with unasked; for the thread.
+
+        Raises:
+            OSError: When it is gone, or somebody else's.
+        """
+        self._put_off.add(place)
+        found = self._autosave.found(place)
+        if found is None:
+            raise OSError(f"{place}: nothing is kept there any more")
+        return found
+
     def close(self, *, is_saved: bool) -> None:
         """End; what is kept of a document that is not saved stays for the next start."""
         if is_saved:
@@ -95,6 +123,9 @@ class Recovery:
             self._changed_at = self.now()
         if self._keeping is not None or self.now() - self._changed_at < self._session.preferences.autosave_s:
             return
+        self._begin_keeping(present, stamp, known)
+
+    def _begin_keeping(self, present: Document, stamp: DiskStamp | None, known: KnownFiles) -> None:
         self._kept, self._changed_at = present, None
         self._keeping = self._thread.submit(self._autosave.write, saved_scene(self._session), stamp, known)
 

@@ -103,6 +103,10 @@ class SceneFiles:
         """Go on with what a process that died has kept; its changes are still to be saved."""
         self._begin_opening(autosaved.about.name, lambda: read_kept(autosaved))
 
+    def go_on_at(self, place: Path) -> None:
+        """Go on with what the window before this one has kept; nobody is asked, its changes are still to be saved."""
+        self._begin_opening("what was not saved", lambda: read_kept(self.recovery.left_at(place)))
+
     def import_from(self, path: str) -> None:
         """Read a scene in the background and add its layers and actors to the present one."""
         logger.info("Importing %s", path)
@@ -225,6 +229,10 @@ class SceneFiles:
             if recent.exception() is None:
                 self.recent = recent.result()
         self.recovery.poll(self._saved, self._stamp, self._known)
+
+    def keep(self) -> None:
+        """Keep unsaved changes at once: the program is about to end, and nobody was asked."""
+        self.recovery.keep(self._saved, self._stamp, self._known)
 
     def arrive(self, scene: Scene) -> Opened:
         """What is known about a staged scene that was opened here."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from gsrain_engine.kernel_cache import has_kernels
 from gsrain_engine.render.context import is_software
+from gsrain_engine.render.lost_context import check_context
 from gsrain_engine.render.pictures import write_picture
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.scene_view import Shot, draw_shot
@@ -327,6 +328,7 @@ class LiveView:
             np.frombuffer(texture.read(), np.uint8).reshape(texture.height, texture.width, 4)[..., :3]
             for texture in textures
         ]
+        check_context(self._context)
         pixels = pictures[-1].copy()
         if len(pictures) == 2:
             at = round(self.session.view.divider * pixels.shape[1])

@@ -1,0 +1,134 @@
+"""A graphics card that is lost while pictures are drawn without a window: one sentence, and no picture that is none."""
+
+import ctypes
+
+import moderngl
+import numpy as np
+import pytest
+from PIL import Image
+
+from app.command_line import BAD_INPUT, run
+from gsrain_engine.backends import open_renderer
+from gsrain_engine.render import lost_context
+from gsrain_engine.render.context import NoOpenGLError, open_context
+from gsrain_engine.render.lost_context import LostContextError, watch_of
+from gsrain_engine.render.splat_renderer import SplatRenderer
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.members import Part
+from gsrain_engine.session.picture.live_view import LiveView
+from gsrain_engine.session.session import Session
+from raster.raster_scenes import random_gaussians
+from small_scene import small_scene
+
+_RESET_NOTIFICATION_STRATEGY, _LOSE_CONTEXT_ON_RESET = 0x8256, 0x8252
+GUILTY_CONTEXT_RESET = 0x8253
+CAMERA = Camera(64, 48, 60.0, 60.0, 32.0, 24.0)
+
+
+@pytest.fixture
+def own_context():
+    """A context that a test may lose."""
+    try:
+        context = open_context("egl")
+    except NoOpenGLError as error:
+        pytest.skip(str(error))
+    with context:
+        yield context
+    context.release()
+
+
+@pytest.fixture
+def lost_after(monkeypatch):
+    """Let drivers say once, after so many answers that all is well, that a context is lost."""
+
+    def lose(count):
+        answers = iter([0] * count + [GUILTY_CONTEXT_RESET])
+        monkeypatch.setattr(lost_context, "_question", lambda address: lambda: next(answers, 0))
+
+    return lose
+
+
+def test_contexts_are_made_to_tell_of_resets(own_context):
+    if "EglContext" not in repr(own_context.mglo._context):
+        pytest.skip("this driver does not tell of resets")
+    address = own_context.mglo._context.load_opengl_function("glGetIntegerv")
+    strategy = ctypes.c_int()
+    ctypes.CFUNCTYPE(None, ctypes.c_uint, ctypes.POINTER(ctypes.c_int))(address)(_RESET_NOTIFICATION_STRATEGY, strategy)
+    assert strategy.value == _LOSE_CONTEXT_ON_RESET
+    assert watch_of(own_context).ask() == 0
+    assert own_context.error == "GL_NO_ERROR"
+
+
+def test_a_context_inside_another_leaves_that_one_current(own_context):
+    with open_context("egl") as inner:
+        assert inner.buffer(b"inner").read() == b"inner"
+    inner.release()
+    assert own_context.buffer(b"outer").read() == b"outer"
+
+
+def test_where_the_driver_tells_nothing_another_context_is_taken(monkeypatch):
+    def none(self):
+        raise OSError("no context that tells its end")
+
+    monkeypatch.setattr("gsrain_engine.render.egl_context.EglContext.__init__", none)
+    with open_context("egl") as context:
+        assert watch_of(context) is None
+        renderer = SplatRenderer(context)
+        renderer.draw([Part(random_gaussians(10), np.eye(4))], CAMERA)
+        assert renderer.read().rgba.any()
+    context.release()
+
+
+def test_what_a_driver_says_only_once_is_remembered(lost_after):
+    lost_after(1)
+    with open_context("egl") as context:
+        watcher = watch_of(context)
+        assert [watcher.is_lost() for _ in range(4)] == [False, True, True, True]
+        watcher.wait_for_driver(60)
+    context.release()
+
+
+def test_no_picture_comes_from_a_lost_context(lost_after):
+    lost_after(1)
+    with pytest.raises(LostContextError), open_renderer("opengl") as renderer:
+        for _ in range(2):
+            renderer.draw([Part(random_gaussians(10), np.eye(4))], CAMERA)
+            assert renderer.read().rgba.any()
+        pytest.fail("the second picture is none")
+
+
+@pytest.mark.parametrize(("healthy", "raised"), [(0, LostContextError), (1, moderngl.Error)])
+def test_errors_in_a_lost_context_are_its_loss(lost_after, healthy, raised):
+    lost_after(healthy)
+    with pytest.raises(raised), open_renderer("opengl"):
+        raise moderngl.Error("cannot create texture")
+
+
+@pytest.mark.parametrize("out", ["frames", "still.png", "still.npy"])
+def test_a_command_ends_in_a_sentence_and_writes_no_empty_picture(tmp_path, capsys, lost_after, out):
+    write_scene(small_scene(), tmp_path / "scene")
+    options = ["--size", "64x48", "--backend", "opengl", "--fps", "5", *(["--to", "3"] if out == "frames" else [])]
+    command = ["render", str(tmp_path / "scene"), "-o"]
+    assert run([*command, str(tmp_path / "healthy" / out), *options]) == 0
+    lost_after(12 if out == "frames" else 0)  # the sky is looked at first
+    assert run([*command, str(tmp_path / "lost" / out), *options]) == BAD_INPUT
+    said = "gsrain: the graphics driver has restarted, or the card is gone: what was being drawn is lost"
+    assert said in capsys.readouterr().err
+    written = sorted((tmp_path / "lost").rglob("*.*"))
+    assert 0 < len(written) < 15 if out == "frames" else not written
+    for path in written:
+        assert path.read_bytes() == (tmp_path / "healthy" / out / path.name).read_bytes()
+        assert np.asarray(Image.open(path)).any()
+
+
+def test_a_screenshot_of_nothing_is_not_saved(own_context, tmp_path):
+    session = Session(small_scene())
+    view = LiveView(own_context, session, "opengl")
+    view.draw(64, 48)
+    session.screenshot = tmp_path / "picture.png"
+    watch_of(own_context).ask = lambda: GUILTY_CONTEXT_RESET
+    with pytest.raises(LostContextError):
+        view.draw(64, 48)
+    session.close()
+    assert not list(tmp_path.iterdir())
