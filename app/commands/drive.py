@@ -91,10 +91,10 @@ def drive(
     files = DriveFiles(folder, frozenset(_words(export)), fps)
     files.check()
     check_writable(folder / "table.csv", json)
-    hashed = scene_hash(test.scene)
-    test, opened = asked.fitted(test, _opened(test.scene, wet))
     with ExitStack() as stack:
-        agents = stack.enter_context(asked.opened())
+        agents = stack.enter_context(asked.opened())  # before the scene, which takes longer to read
+        hashed = scene_hash(test.scene)
+        test, opened = asked.fitted(test, _opened(test.scene, wet))
         can_film = can_write_videos() and bool(opened.rigs)
         films = video if video is not None else len(agents) * len(rains) == 1 and can_film
         if films and not opened.rigs:

@@ -138,6 +138,12 @@ def test_a_start_inside_of_the_scene_says_what_to_look_at(scenario, tmp_path, ca
     assert "It begins inside" not in capsys.readouterr().out
 
 
+def test_an_agent_that_cannot_be_is_told_before_the_scene_is_read(scenario, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("app.commands.drive.open_to_draw", lambda name: pytest.fail("the scene was read"))
+    assert drive(scenario, "--agent", "http", "-o", tmp_path / "out") == BAD_INPUT
+    assert "agent http: say where it listens" in capsys.readouterr().err
+
+
 class _Broken(ConstantVelocityAgent):
     def plan(self, observation):
         if observation.step == 2:

@@ -231,4 +231,5 @@ def test_a_reconstruction_is_tried_beside_its_pictures(project, detector, tmp_pa
 def test_what_is_not_installed_is_told_before_the_work(project, detector, monkeypatch, capsys):
     monkeypatch.setattr("app.commands.evaluate.detection.find_spec", lambda name: None)
     assert evaluate(project, detector) == BAD_INPUT
-    assert "onnxruntime and pycocotools not installed: pip install 'gsrain[evaluate]'" in capsys.readouterr().err
+    said = "gsrain evaluate detection needs onnxruntime and pycocotools: pip install 'gsrain[evaluate]'"
+    assert said in capsys.readouterr().err

@@ -119,7 +119,7 @@ def _check_installed() -> None:
     """Average precision comes last: who lacks what it needs is told at once."""
     missing = [name for name in ("onnxruntime", "pycocotools") if find_spec(name) is None]
     if missing:
-        raise ValueError(f"{' and '.join(missing)} not installed: pip install 'gsrain[evaluate]'")
+        raise ValueError(f"gsrain evaluate detection needs {' and '.join(missing)}: pip install 'gsrain[evaluate]'")
 
 
 def _detectors(files: Sequence[Path], descriptions: Sequence[str] | None) -> list[Detector]:
