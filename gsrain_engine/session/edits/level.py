@@ -87,7 +87,7 @@ def find_ground(scene: Scene, seed: int = 0) -> Ground:
         up = up if up[2] >= 0 else -up
     share = float((np.abs((voters - point) @ up) < tolerance).sum() / len(points))
     if share < _FEWEST_SHARE:
-        raise ValueError("No ground was found: no plane holds enough of the scene. Pick three points of it instead.")
+        raise ValueError("No ground was found: no plane holds enough of the scene. Level it by three points (window).")
     return Ground(up, point, share)
 
 
