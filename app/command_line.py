@@ -11,7 +11,8 @@ from rich.console import Console
 
 from gsrain_engine.scene.errors import sentence_of
 
-from .commands.arguments import finite
+from .commands.arguments import finite, whole_or_else
+from .commands.bench_all import bench_all
 from .commands.view import view
 from .installed_evaluations import add_installed_evaluations
 
@@ -24,7 +25,7 @@ app = App(
     help="Calibrated rain in captured 3D Gaussian Splatting scenes. Without a command: open the window.",
     version=metadata.version("gsrain"),
     help_format="plaintext",
-    default_parameter=Parameter(validator=finite),
+    default_parameter=Parameter(validator=finite, converter=whole_or_else),
 )
 app.default(view)
 # Named, not imported: each loads what it needs when it runs, so that the window stands at once.
@@ -47,6 +48,7 @@ for name, summary in COMMANDS.items():
     function = name.replace("-", "_")
     app.command(f"app.commands.{function}:{function}", name=name, help=summary)
 benchmarks = App(name="bench", help="Time this machine.")
+benchmarks.default(bench_all)
 benchmarks.command("app.commands.bench:render", name="render", help="Time frames of fixed scenes, in rain and without.")
 benchmarks.command("app.commands.bench_loading:loading", name="loading", help="Time writing and reading scenes.")
 benchmarks.command("app.commands.bench_recoloring:recoloring", name="recoloring", help="Time recolouring scenes.")

@@ -4,12 +4,12 @@ import json
 import math
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any, TextIO, get_args
 
-from cyclopts import Parameter
+from cyclopts import Parameter, Token, convert
 
 from gsrain_engine.scene.atomic_files import whole_file
 
@@ -41,6 +41,14 @@ def finite(_kind: Any, value: Any) -> None:
             finite(_kind, each)
     elif isinstance(value, float) and not math.isfinite(value):
         raise ValueError("Expected a finite number.")
+
+
+def whole_or_else(kind: Any, tokens: Sequence[Token]) -> Any:
+    """Turn words into what an option takes, as cyclopts does; but it would round 1.5 where whole numbers are wanted."""
+    for token in tokens if int in (kind, *get_args(kind)) else ():
+        if "." in token.value:
+            raise ValueError(f"{token.keyword} {token.value}: expected a whole number")
+    return convert(kind, tokens)
 
 
 def parse_size(text: str, option: str = "--size") -> tuple[int, int]:

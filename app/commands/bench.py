@@ -47,7 +47,7 @@ def render(
     rain: Annotated[str, Parameter(help="Intensities in mm/h of the preset paper; 0 is clear.")] = "0,8.5",
     frames: Annotated[int, Parameter(help="Frames that are timed, after two that are not.")] = 20,
     json: JsonFileOrScreen = None,
-) -> None:
+) -> dict[str, Any]:
     """Time frames of fixed scenes: make the rain, draw, fetch the picture. Medians, by back end, size and rain."""
     if not 1 <= frames <= 10_000:
         raise ValueError(f"--frames {frames}: must be within 1..10000")
@@ -68,6 +68,7 @@ def render(
     numbers = _report(rows) | {"machine": machine() | {"devices": devices}}
     _print(rows, numbers, Console(file=words_go_to(json), width=_COLUMNS))
     write_numbers(json, numbers)
+    return numbers
 
 
 def timed_scene(name: str) -> Scene:

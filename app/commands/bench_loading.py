@@ -3,7 +3,7 @@
 import tempfile
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -30,7 +30,7 @@ def loading(
     ] = "folder,.ply,.splat,.spz",
     repeats: Annotated[int, Parameter(help="Times that each is read.")] = 3,
     json: JsonFileOrScreen = None,
-) -> None:
+) -> dict[str, Any]:
     """Time writing and reading scenes, from the system's file cache. Medians, by scene and format."""
     if not 1 <= repeats <= 1000:
         raise ValueError(f"--repeats {repeats}: must be within 1..1000")
@@ -44,7 +44,9 @@ def loading(
                     rows.append(time_loading(scene, suffix, Path(folder), repeats))
                 advance()
     _print(rows, Console(file=words_go_to(json), width=100))
-    write_numbers(json, {"rows": [asdict(row) for row in rows], "machine": machine()})
+    numbers = {"rows": [asdict(row) for row in rows], "machine": machine()}
+    write_numbers(json, numbers)
+    return numbers
 
 
 def _suffix(word: str) -> str:

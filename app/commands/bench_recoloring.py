@@ -1,7 +1,7 @@
 """`gsrain bench recoloring`: how fast this machine gives scenes the colours of pictures."""
 
 from dataclasses import asdict
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -32,7 +32,7 @@ def recoloring(
     size: Annotated[str, Parameter(help="WIDTHxHEIGHT of the pictures in pixels.")] = "480x320",
     iterations: Annotated[int, Parameter(help="Steps of conjugate gradients.")] = 12,
     json: JsonFileOrScreen = None,
-) -> None:
+) -> dict[str, Any]:
     """Time recolouring scenes to darkened pictures of themselves: looking, choosing, solving, measuring."""
     if not 1 <= views <= 1000:
         raise ValueError(f"--views {views}: must be within 1..1000")
@@ -49,7 +49,9 @@ def recoloring(
             rows.append(time_recoloring(scene, _cameras(scene, views, width, height), settings))
             advance()
     _print(rows, Console(file=words_go_to(json), width=120))
-    write_numbers(json, {"rows": [asdict(row) for row in rows], "machine": machine()})
+    numbers = {"rows": [asdict(row) for row in rows], "machine": machine()}
+    write_numbers(json, numbers)
+    return numbers
 
 
 def _cameras(scene: Scene, count: int, width: int, height: int) -> list[tuple[float, Camera]]:

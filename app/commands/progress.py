@@ -1,4 +1,4 @@
-"""A progress bar with an estimate of the time left; on a file or pipe it stays silent."""
+"""A progress bar with an estimate of the time left; in a file or pipe there is only how it ended."""
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -15,7 +15,7 @@ _Result = TypeVar("_Result")
 
 @contextmanager
 def progress_bar(title: str, total: float) -> Generator[Callable[..., None]]:
-    """Show a bar while the block runs; call what it yields with the work done (default 1)."""
+    """Show a bar while the block runs; call what it yields with the work done (default 1). A failure takes it away."""
     columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
     with Progress(*columns, TextColumn("ETA"), TimeRemainingColumn(), console=Console(stderr=True)) as bar:
         task = bar.add_task(title, total=total)
@@ -23,7 +23,11 @@ def progress_bar(title: str, total: float) -> Generator[Callable[..., None]]:
         def advance(done: float = 1) -> None:
             bar.advance(task, done)
 
-        yield advance
+        try:
+            yield advance
+        except BaseException:
+            bar.live.transient, bar.console.quiet = True, not bar.console.is_terminal  # one line is left: what is wrong
+            raise
 
 
 def followed(work: Generator[Step, None, _Result]) -> _Result:

@@ -66,6 +66,7 @@ def sweep(
     told = load_sweep(sweep)
     told = told if backend is None else msgspec.structs.replace(told, backend=backend)
     folder = SweepFolder(_folder(sweep, told, output))
+    _check_engine(workers, dask, dask_resources)
     check_writable(folder.path / "table.csv", json)
     jobs = jobs_of(told)
     share = jobs if shard is None else Shard.parse(shard).of(jobs)
@@ -105,16 +106,21 @@ def _folder(name: str, sweep: Sweep, output: Path | None) -> Path:
     return output or Path(str(sweep.output))
 
 
-def _engine(workers: int | None, dask: str | None, resources: str, stack: ExitStack) -> Engine:
-    """Choose where to work; raises ValueError for what contradicts itself."""
-    if dask is None:
-        if resources:
-            raise ValueError(f"--dask-resources {resources}: expected --dask ADDRESS with it")
-        if workers is not None and not 0 <= workers <= 4096:
-            raise ValueError(f"--workers {workers}: must be within 0..4096")
-        return HereEngine() if workers == 0 else LocalPool(workers)
-    if workers is not None:
+def _check_engine(workers: int | None, dask: str | None, resources: str) -> None:
+    """Raise ValueError for what contradicts itself, before anything is written."""
+    if dask is None and resources:
+        raise ValueError(f"--dask-resources {resources}: expected --dask ADDRESS with it")
+    if dask is not None and workers is not None:
         raise ValueError("--workers and --dask exclude each other: a cluster has as many as it has")
+    if workers is not None and not 0 <= workers <= 4096:
+        raise ValueError(f"--workers {workers}: must be within 0..4096")
+    _resources(resources)
+
+
+def _engine(workers: int | None, dask: str | None, resources: str, stack: ExitStack) -> Engine:
+    """Choose where to work."""
+    if dask is None:
+        return HereEngine() if workers == 0 else LocalPool(workers)
     cluster = DaskCluster(dask, _resources(resources))
     stack.callback(cluster.close)
     if cluster.workers == 0:

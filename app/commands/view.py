@@ -1,5 +1,6 @@
 """`gsrain [SCENE]`: the window."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
@@ -22,6 +23,10 @@ def view(
     ] = "auto",
 ) -> None:
     """Open a scene in the window."""
+    if scene not in (None, "street") and not Path(str(scene)).exists():
+        from gsrain_engine.scene.open_scene import open_scene
+
+        open_scene(scene)  # says what may have been meant
     if not has_display():
         raise OSError("no display: the window can't open here; gsrain render writes pictures and videos without one")
     from app.window import run_window  # the GUI libraries load only for the window

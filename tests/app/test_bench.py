@@ -1,14 +1,18 @@
 """`gsrain bench` on tiny scenes: every row, every number, what follows from them, and bad input."""
 
 import json
+from functools import partial
 
 import pytest
 
 from app.command_line import BAD_INPUT, run
+from app.commands import bench as bench_command
+from app.commands import bench_recoloring
 from gsrain_engine.scene.formats import write_scene
 from small_scene import small_scene
 
-SMALL = {"--sizes": "48x32", "--frames": "2", "--backends": "cpu"}
+SMALL_CALL = {"sizes": "48x32", "frames": 2, "backends": "cpu"}
+SMALL = {f"--{name}": str(value) for name, value in SMALL_CALL.items()}
 ROW = {
     *("scene", "backend", "width", "height", "splats", "intensity_mm_h", "frame_ms_median", "stages_ms"),
     *("gaussians", "frames", "frame_ms_min", "frame_ms_max", "ns_per_splat", "drops_drawn", "haze_gaussians"),
@@ -122,6 +126,18 @@ def test_recoloring_says_how_long_each_stage_takes(tmp_path):
         assert row["iteration_ms"] == pytest.approx(250 * row["stages_s"]["solving"])
         assert 0 < row["seen"] <= row["gaussians"]
         assert row["psnr_db"] > row["psnr_before_db"]
+
+
+def test_alone_it_times_all_there_is(tmp_path, monkeypatch):
+    file = tmp_path / "all.json"
+    monkeypatch.setattr(bench_command, "render", partial(bench_command.render, **SMALL_CALL))
+    monkeypatch.setattr(bench_recoloring, "recoloring", partial(bench_recoloring.recoloring, views=2, size="48x32"))
+    write_scene(small_scene(), tmp_path / "small")
+    assert run(["bench", "--scenes", str(tmp_path / "small"), "--json", str(file)]) == 0
+    numbers = json.loads(file.read_text())
+    assert set(numbers) == {"render", "loading", "recoloring"}
+    assert {row["scene"] for each in numbers.values() for row in each["rows"]} == {"small"}
+    assert {row["intensity_mm_h"] for row in numbers["render"]["rows"]} == {0, 8.5}
 
 
 @pytest.mark.parametrize(

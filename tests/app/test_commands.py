@@ -260,6 +260,11 @@ def test_doctor_tells_which_lpips_weights_are_of_use(tmp_path, monkeypatch):
         (["render", "{room}", "-o", "a.png", "--time", "nan"], "--time: Expected a finite number"),
         (["render", "{room}", "-o", "a.png", "--fps", "0"], "--fps 0: must be within"),
         (["render", "{room}", "-o", "a.png", "--camera", "nowhere.json"], "nowhere.json"),
+        (["render", "{room}", "-o", "a.png", "--seed", "1.5"], "--seed 1.5: expected a whole number"),
+        (["render", "{room}", "-o", "{room}/a.png"], "a.png"),
+        (["disdrometer", "--seed", "0.5"], "--seed 0.5: expected a whole number"),
+        (["calibrate", "{room}", "-o", "{tmp}/a.yaml"], "wall.ply"),  # seen when its bar already stands
+        (["nowhere.ply"], "nowhere.ply: there is no such file or folder"),
         (["render", "{room}"], "--output"),
         (["render", "{room}", "-o", "a.png", "--colour", "red"], "--colour"),
         (["convert", "{room}", "{tmp}/wall.sog"], "wall.sog"),

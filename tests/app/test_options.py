@@ -23,6 +23,7 @@ OPTIONS = {
     "evaluate detection": "--detector --rain --seeds --json",
     "drive": "--agent --rain --hugsim-dir --json",
     "sweep": "--shard --dask --json",
+    "bench": "--json",
     "bench render": "--json",
     "bench loading": "--json",
     "bench recoloring": "--json",
