@@ -11,7 +11,7 @@ from msgspec import structs
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.render.look import Look
-from gsrain_engine.render.objects.label_files import LabelFormat, write_object_labels
+from gsrain_engine.render.objects.label_format import LabelFormat
 from gsrain_engine.render.record import record
 from gsrain_engine.render.recorded_files import outputs
 from gsrain_engine.render.recorded_views import frame_numbers, sequences_of
@@ -141,6 +141,8 @@ def _label(
 ) -> list[Path]:
     if form is None or not numbers:
         return []
+    from gsrain_engine.render.objects.label_files import write_object_labels  # and OpenCV, which no picture needs
+
     return followed(write_object_labels(renderer, form, recording, sequences, numbers))
 
 

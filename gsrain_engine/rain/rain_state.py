@@ -3,13 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+import scipy  # which loads its parts where they are used first: at the calibration's rows none is
 from jaxtyping import Float
-from scipy.interpolate import PchipInterpolator
-from scipy.optimize import root_scalar
 
 from .calibration import Calibration, atlas_velocity
 from .drop_sizes import DropSizes
@@ -49,7 +48,7 @@ class RainState:
     drops: int
     """Drops in the streak region: density times volume."""
     haze_gaussians: int
-    """Haze Gaussians in the haze region."""
+    """M: haze Gaussians of full opacity in the haze region; `make_haze` splits them up."""
 
     @property
     def beyond_calibration(self) -> bool:
@@ -120,7 +119,7 @@ def intensity_of(density_m3: float, rain: Rain, calibration: Calibration) -> flo
         raise ValueError(f"{density_m3:g} drops per m3: must be within 0 and what {calibration.name} has at 100 mm/h")
     if surplus(least) >= 0:
         return _LEAST_MM_H
-    return float(np.exp(root_scalar(surplus, bracket=(least, most), method="brentq").root))
+    return float(np.exp(scipy.optimize.root_scalar(surplus, bracket=(least, most), method="brentq").root))
 
 
 def _haze_gaussians(rain: Rain, extinction_per_m: float) -> int:
@@ -150,13 +149,14 @@ def _interpolate_table(calibration: Calibration, intensity: float) -> tuple[floa
 class _Curve:
     """Shape-preserving cubic inside (Fritsch and Carlson, 1980); outside, on with the slope fitted over all points."""
 
-    inside: PchipInterpolator
+    inside: Callable[[float], Any]
     ends: tuple[float, float]
     slope: float
 
     @classmethod
     def through(cls, x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> "_Curve":
-        return cls(PchipInterpolator(x, y), (float(x[0]), float(x[-1])), float(np.polyfit(x, y, 1)[0]))
+        inside = scipy.interpolate.PchipInterpolator(x, y)
+        return cls(inside, (float(x[0]), float(x[-1])), float(np.polyfit(x, y, 1)[0]))
 
     def __call__(self, at: float) -> float:
         inside = min(max(at, self.ends[0]), self.ends[1])

@@ -6,8 +6,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float32, Float64, Int32
-from scipy.ndimage import maximum_filter, rank_filter
 
 from gsrain_engine.scene.bounds import robust_bounds
 from gsrain_engine.scene.gaussians import Gaussians
@@ -130,8 +130,8 @@ def find_roofs(parts: Sequence[Part]) -> Roofs | None:
     pieces = [points for part in parts for points in _points(part, grid)]
     cells, heights, depths = (np.concatenate(column) for column in zip(*pieces, strict=True))
     highest = _roof_candidates(_Points(cells, heights, depths), grid)
-    core = rank_filter(highest, rank=2, size=3, mode="constant", cval=-np.inf)
-    neighbour = maximum_filter(core, size=3, mode="constant", cval=-np.inf)
+    core = scipy.ndimage.rank_filter(highest, rank=2, size=3, mode="constant", cval=-np.inf)
+    neighbour = scipy.ndimage.maximum_filter(core, size=3, mode="constant", cval=-np.inf)
     roofs = np.maximum(core, np.minimum(highest, neighbour))
     if not np.any(np.isfinite(roofs)):
         return None

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 from jaxtyping import Float64
-from scipy.interpolate import PchipInterpolator
 
 _PIECES = 16
 """A smooth stretch between two keys is drawn with so many straight pieces: 1/300 of its height off at most."""
@@ -33,7 +33,7 @@ class WeatherCurve:
         reach = times_s[-1] - times_s[0]
         along = np.concatenate([[times_s[0] - reach], times_s, [times_s[-1] + reach]])
         with np.errstate(over="ignore"):  # one over a slope that is next to nothing
-            rounded = PchipInterpolator(along, np.concatenate([values[:1], values, values[-1:]]))
+            rounded = scipy.interpolate.PchipInterpolator(along, np.concatenate([values[:1], values, values[-1:]]))
         shares = np.arange(pieces) / pieces
         inner = (times_s[:-1, None] + shares * np.diff(times_s)[:, None]).ravel()
         knots = np.append(inner, times_s[-1])

@@ -9,9 +9,7 @@ from pathlib import Path
 import msgspec
 
 from gsrain_engine.drive.metrics.comparison import Comparison, Run, compare
-from gsrain_engine.drive.metrics.figures import kinematics_figure, write_figure
 from gsrain_engine.drive.metrics.metrics_files import write_metrics_csv
-from gsrain_engine.drive.metrics.run_page import drive_report
 from gsrain_engine.drive.metrics.table import results_table
 from gsrain_engine.drive.playback.drive_film import film_drive
 from gsrain_engine.drive.playback.drive_video import DriveVideo
@@ -74,6 +72,10 @@ def write_drives(
 
     `settings` are told on the report beside what the runs say themselves.
     """
+    # Matplotlib loads slowly: not before the first drive.
+    from gsrain_engine.drive.metrics.figures import kinematics_figure, write_figure
+    from gsrain_engine.drive.metrics.run_page import drive_report
+
     files.folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     for run in runs:

@@ -1,8 +1,8 @@
 """Surface normals of a view from its rendered depth. World axes (z up), camera axes OpenCV."""
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Float32
-from scipy import ndimage
 
 from gsrain_engine.scene.camera import Camera
 
@@ -59,5 +59,5 @@ def _slope(inverse: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], ax
 
 def _averaged(values: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     """Gaussian mean over the pixels that are known."""
-    weight = ndimage.gaussian_filter(known.astype(np.float64), _SMOOTHING_PX, mode="nearest")
-    return ndimage.gaussian_filter(values * known, _SMOOTHING_PX, mode="nearest") / np.maximum(weight, 1e-6)
+    weight = scipy.ndimage.gaussian_filter(known.astype(np.float64), _SMOOTHING_PX, mode="nearest")
+    return scipy.ndimage.gaussian_filter(values * known, _SMOOTHING_PX, mode="nearest") / np.maximum(weight, 1e-6)

@@ -1,9 +1,8 @@
 """Finds the ground along a recorded drive in the scene itself. World frame, metres."""
 
 import numpy as np
+import scipy
 from jaxtyping import Float64, Int64
-from scipy import ndimage
-from scipy.spatial import KDTree
 
 from gsrain_engine.scene.scene import Scene
 
@@ -70,7 +69,7 @@ def _followed(drive: Float64[np.ndarray, "n 3"], reach: Reach) -> HeightGrid:
     columns, rows = (np.ceil((high - low) / cell).astype(int) + 1).tolist()
     y, x = np.mgrid[:rows, :columns] * cell
     way = _dense(drive)
-    nearest = KDTree(way[:, :2]).query(np.stack([x.ravel() + low[0], y.ravel() + low[1]], axis=1))[1]
+    nearest = scipy.spatial.KDTree(way[:, :2]).query(np.stack([x.ravel() + low[0], y.ravel() + low[1]], axis=1))[1]
     heights = way[np.asarray(nearest), 2].reshape(rows, columns)
     return HeightGrid((float(low[0]), float(low[1])), cell, _smoothed(heights, 2.0 / cell))
 
@@ -90,7 +89,7 @@ def _depth_below(
 ) -> float:
     """How far below the drive most of what lies flat under it is."""
     way = _dense(drive)
-    away, nearest = KDTree(way[:, :2]).query(places[:, :2])
+    away, nearest = scipy.spatial.KDTree(way[:, :2]).query(places[:, :2])
     under = np.asarray(away) < _UNDER_M
     depth, area = way[np.asarray(nearest)[under], 2] - places[under, 2], top_m2[under]
     edges = np.arange(-_HIGHEST_M, _DEEPEST_M + _BIN_M / 2, _BIN_M)
@@ -109,4 +108,4 @@ def _summed(
 
 
 def _smoothed(grid: Float64[np.ndarray, "rows columns"], sigma: float) -> Float64[np.ndarray, "rows columns"]:
-    return ndimage.gaussian_filter(grid, sigma, mode="nearest", truncate=2.5)
+    return scipy.ndimage.gaussian_filter(grid, sigma, mode="nearest", truncate=2.5)

@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from gsrain_engine.backends import Backend
 from gsrain_engine.rain.rain import Rain
-from gsrain_engine.render.objects.label_files import LabelFormat
+from gsrain_engine.render.objects.label_format import LabelFormat
 from gsrain_engine.render.recording import Recording
 
 from ..scenario.scenario import Scenario

@@ -9,7 +9,7 @@ from gsrain_engine.backends import Backend
 from gsrain_engine.evaluate.detection.description import description_names
 from gsrain_engine.rain.calibration import calibration_names
 from gsrain_engine.rain.rain import Rain
-from gsrain_engine.render.objects.label_files import LabelFormat
+from gsrain_engine.render.objects.label_format import LabelFormat
 from gsrain_engine.render.recording import Recording
 from gsrain_engine.scene.open_scene import STREET
 from gsrain_engine.shipped_configs import load_config, shipped_names

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import numpy as np
+import scipy
 from msgspec import Meta
-from scipy.interpolate import PchipInterpolator
 
 from .behaviour import Behaviour, Surroundings
 from .by_the_clock import ByTheClock
@@ -77,7 +77,7 @@ class _ThroughPoints:
         rows = [(0.0, 0.0, 0.0), *((point.time_s, point.ahead_m, point.left_m) for point in points)]
         times, ahead, left = np.array(rows).T
         self._end_s = float(times[-1])
-        self._way = PchipInterpolator(times, np.stack([ahead, left], axis=1))
+        self._way = scipy.interpolate.PchipInterpolator(times, np.stack([ahead, left], axis=1))
         self._speed = self._way.derivative()
         self._from: InLane | None = None
 

@@ -3,7 +3,6 @@
 import base64
 
 import cv2
-import matplotlib
 import numpy as np
 from jaxtyping import Float32, UInt8
 
@@ -39,7 +38,9 @@ def color_bar() -> str:
 
 
 def _shades() -> UInt8[np.ndarray, "shades 3"]:
-    colors = matplotlib.colormaps["magma"](np.linspace(0, 1, _SHADES))
+    from matplotlib import colormaps  # loads slowly, and most who load this module write no page
+
+    colors = colormaps["magma"](np.linspace(0, 1, _SHADES))
     return np.rint(255 * np.asarray(colors)[:, :3]).astype(np.uint8)
 
 

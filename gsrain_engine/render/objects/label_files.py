@@ -3,7 +3,6 @@
 import json
 from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
 
 from gsrain_engine.scene.atomic_files import whole_file
 from gsrain_engine.scene.objects import scene_objects
@@ -16,9 +15,8 @@ from ..renderer import Renderer
 from ..sequence import FrameSequence
 from .coco_labels import CocoLabels
 from .kitti_labels import calibration_file, instances, label_file
+from .label_format import LabelFormat
 from .seen_objects import SeenObject, seen_objects
-
-LabelFormat = Literal["coco", "kitti"]
 
 
 def write_object_labels(

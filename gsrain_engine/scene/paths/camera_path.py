@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 from jaxtyping import Float64
-from scipy.spatial.transform import Rotation
 
 from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S, Camera
 from gsrain_engine.scene.rotations import matrices_from_quaternions, quaternions_from_matrices
@@ -181,7 +181,7 @@ def _around(
     times: Float64[np.ndarray, " k"],
 ) -> CameraPath:
     """Keys of a camera that is turned around a point by angles in radians."""
-    turns = Rotation.from_euler("z", angles[:, None]).as_matrix()
+    turns = scipy.spatial.transform.Rotation.from_euler("z", angles[:, None]).as_matrix()
     pose = camera.camera_to_world
     rotations = turns @ pose[:3, :3]
     positions = (turns @ (pose[:3, 3] - center)) + center

@@ -1,12 +1,12 @@
 """What lies between the keys of a camera path: curves through places, rotations and fields of view."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+import scipy  # which loads its parts where they are used first: most scenes are opened without a flight
 from jaxtyping import Float64
-from scipy.interpolate import BSpline, CubicSpline, PchipInterpolator, make_interp_spline
-from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 
 Interpolation = Literal["spline", "linear"]
 """spline: smooth through all keys; linear: straight from key to key, at constant speed between two of them."""
@@ -19,10 +19,11 @@ _KEYS_AROUND_A_LOOP = 24
 class PathCurves:
     """Curves through two or more keys; to be asked between the first key and the last only, or the seam of a loop."""
 
-    positions: CubicSpline | BSpline
+    positions: Callable[..., Any]
     """Of path time; a second argument of 1 gives the derivative."""
-    rotations: RotationSpline | Slerp
-    fields_of_view: PchipInterpolator | BSpline
+    rotations: Callable[..., Any]
+    """SciPy's Rotation, of path time."""
+    fields_of_view: Callable[..., Any]
 
     @classmethod
     def through(
@@ -45,15 +46,16 @@ class PathCurves:
             keys = rounds % n
             times_s = times_s[keys] + period_s * (rounds // n)
             positions, quaternions_wxyz, fields_of_view = positions[keys], quaternions_wxyz[keys], fields_of_view[keys]
-        rotations = Rotation.from_quat(quaternions_wxyz[:, [1, 2, 3, 0]])
+        splines, turning = scipy.interpolate, scipy.spatial.transform
+        rotations = turning.Rotation.from_quat(quaternions_wxyz[:, [1, 2, 3, 0]])
         if interpolation == "linear":
             return cls(
-                make_interp_spline(times_s, positions, k=1),
-                Slerp(times_s, rotations),
-                make_interp_spline(times_s, fields_of_view, k=1),
+                splines.make_interp_spline(times_s, positions, k=1),
+                turning.Slerp(times_s, rotations),
+                splines.make_interp_spline(times_s, fields_of_view, k=1),
             )
         return cls(
-            CubicSpline(times_s, positions, bc_type="natural"),
-            RotationSpline(times_s, rotations),
-            PchipInterpolator(times_s, fields_of_view),
+            splines.CubicSpline(times_s, positions, bc_type="natural"),
+            turning.RotationSpline(times_s, rotations),
+            splines.PchipInterpolator(times_s, fields_of_view),
         )

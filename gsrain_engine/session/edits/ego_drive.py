@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from jaxtyping import Float64
-from scipy.spatial.transform import Rotation
 
 from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.rotations import quaternions_from_matrices
@@ -41,16 +41,17 @@ def drive_along(scene: Scene, path: CameraPath, width: int = 1600, height: int =
         raise ValueError(f"The camera moves less than {_STEP_M:g} m: no vehicle can drive along that.")
     way = np.gradient(places[kept], axis=0)
     headings = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
-    upright = Rotation.from_rotvec(np.outer(headings, [0.0, 0.0, 1.0]))
+    rotation = scipy.spatial.transform.Rotation
+    upright = rotation.from_rotvec(np.outer(headings, [0.0, 0.0, 1.0]))
     track = Track(
         times[kept],
         (places[kept] - to_world[:3, 3]) @ np.linalg.inv(to_world[:3, :3]).T,
-        _in_scene(upright, to_world),
+        _in_scene(upright.as_matrix(), to_world),
         np.ones(len(kept), np.bool_),
     )
     turn = to_world[:3, :3] / np.cbrt(np.linalg.det(to_world[:3, :3]))
     seen = np.stack([turn @ cameras[i].camera_to_world[:3, :3] for i in kept])
-    mean = (upright.inv() * Rotation.from_matrix(seen)).mean().as_matrix()
+    mean = (upright.inv() * rotation.from_matrix(seen)).mean().as_matrix()
     first = cameras[0]
     mounted = RigCamera(
         "front", first.width, first.height, first.fx, first.fy, first.cx, first.cy,
@@ -81,9 +82,11 @@ def _apart(places: Float64[np.ndarray, "n 3"]) -> list[int]:
     return [*kept[:-1], len(places) - 1] if len(kept) > 1 else kept
 
 
-def _in_scene(upright: Rotation, to_world: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "n 4"]:
+def _in_scene(
+    upright: Float64[np.ndarray, "n 3 3"], to_world: Float64[np.ndarray, "4 4"]
+) -> Float64[np.ndarray, "n 4"]:
     turn = to_world[:3, :3] / np.cbrt(np.linalg.det(to_world[:3, :3]))
-    return np.asarray(quaternions_from_matrices(turn.T @ upright.as_matrix()), np.float64)
+    return np.asarray(quaternions_from_matrices(turn.T @ upright), np.float64)
 
 
 def _pose(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "4 4"]:

@@ -6,9 +6,9 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float32, Float64
 from msgspec import Meta
-from scipy.spatial import KDTree
 
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.marks import Marks
@@ -122,7 +122,7 @@ def _isolated(
     distances: list[Float64[np.ndarray, " m"]] = [np.zeros(0)]
     if len(places) > 1:
         yield 0.0, None
-        tree = KDTree(places, balanced_tree=False, compact_nodes=False)
+        tree = scipy.spatial.KDTree(places, balanced_tree=False, compact_nodes=False)
         count = min(rules.neighbors, len(places) - 1)
         for start in range(0, len(places), _AT_ONCE):
             near, _ = tree.query(places[start : start + _AT_ONCE], k=count + 1, workers=-1)

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Float64
-from scipy.spatial.transform import Rotation
 
 from gsrain_engine.scene.scene import Scene
 
@@ -27,7 +27,9 @@ class Pose:
     def matrix(self) -> Float64[np.ndarray, "4 4"]:
         """The similarity."""
         matrix = np.eye(4)
-        matrix[:3, :3] = self.scale * Rotation.from_euler("xyz", self.turn_deg, degrees=True).as_matrix()
+        matrix[:3, :3] = (
+            self.scale * scipy.spatial.transform.Rotation.from_euler("xyz", self.turn_deg, degrees=True).as_matrix()
+        )
         matrix[:3, 3] = self.position_m
         return matrix
 
@@ -35,7 +37,7 @@ class Pose:
 def pose_of(matrix: Float64[np.ndarray, "4 4"]) -> Pose:
     """Take a similarity apart; where the turn about y is a right angle, the one about z is 0."""
     scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
-    rotation = Rotation.from_matrix(matrix[:3, :3] / scale)
+    rotation = scipy.spatial.transform.Rotation.from_matrix(matrix[:3, :3] / scale)
     sine = (rotation.as_matrix())[2, 0]
     if abs(sine) > 1 - 1e-12:  # SciPy would warn: two of the angles turn about the same axis
         m = rotation.as_matrix()

@@ -1,8 +1,8 @@
 """Selections that grow into what is near them, or shrink away from it."""
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float64
-from scipy.spatial import KDTree
 
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.scene import Scene
@@ -47,7 +47,7 @@ def _reached(
     near = sources[((sources >= low) & (sources <= high)).all(axis=1)]
     if len(near):
         # Where a distance is beyond the bound it comes back as infinite.
-        tree = KDTree(near, balanced_tree=False, compact_nodes=False)
+        tree = scipy.spatial.KDTree(near, balanced_tree=False, compact_nodes=False)
         found, _ = tree.query(points[rows], distance_upper_bound=np.nextafter(distance_m, np.inf), workers=-1)
         flags[rows] = found <= distance_m
     return flags

@@ -1,0 +1,25 @@
+"""What a start does not wait for: modules that load slowly and are needed by few, or later."""
+
+import subprocess
+import sys
+
+import pytest
+
+SCIPY_PARTS = ("interpolate", "ndimage", "optimize", "spatial", "stats")
+SLOW = ("matplotlib", "onnxruntime", "torch", *(f"scipy.{part}" for part in SCIPY_PARTS))
+
+
+@pytest.mark.parametrize(
+    ("modules", "slow"),
+    [
+        ("app.command_line", ("numpy", "numba", "gsrain_engine.scene.scene")),
+        ("app.window", ("scipy", "numba")),
+        ("app.workspace", SLOW),
+        ("app.commands.render, app.commands.drive", SLOW),
+        ("app.commands.info, app.commands.convert, app.commands.evaluate.images", SLOW),
+    ],
+)
+def test_a_start_does_not_load_what_it_may_never_need(modules, slow):
+    code = f"import sys, {modules}; print(*(name for name in {slow!r} if name in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300)
+    assert done.stdout.strip() == ""
