@@ -56,7 +56,7 @@ def row_of(job: Job, outcome: Outcome) -> Row:
 
 def parquet(rows: Sequence[Row], kind: str) -> bytes:
     """Return rows as a Parquet file; the same rows give the same bytes."""
-    arrow, files = _pyarrow()
+    arrow, files = parquet_modules()
     table = arrow.Table.from_pylist(list(rows), schema=_schema(kind))
     sink = io.BytesIO()
     files.write_table(table, sink, compression="zstd", use_dictionary=False, write_statistics=False)
@@ -65,7 +65,7 @@ def parquet(rows: Sequence[Row], kind: str) -> bytes:
 
 def rows_in(data: bytes) -> list[Row]:
     """Read a Parquet file of rows. Raises ValueError for what is none."""
-    arrow, files = _pyarrow()
+    arrow, files = parquet_modules()
     try:
         with files.ParquetFile(io.BytesIO(data)) as file:
             if file.metadata.num_rows > _MOST_ROWS:
@@ -92,7 +92,7 @@ def _cell(value: Value) -> str:
 
 
 def _schema(kind: str) -> Any:
-    arrow, _ = _pyarrow()
+    arrow, _ = parquet_modules()
     types = {str: arrow.string(), int: arrow.int64(), float: arrow.float64(), bool: arrow.bool_()}
     return arrow.schema([(name, types[each]) for name, each in columns_of(kind).items()])
 
@@ -103,7 +103,7 @@ def _plain(kind: inspect.Type) -> type:
     return next(_TYPES[type(each)] for each in choices if type(each) in _TYPES)
 
 
-def _pyarrow() -> tuple[Any, Any]:
+def parquet_modules() -> tuple[Any, Any]:
     """The package, and its module of Parquet files; loaded where a row is written or read."""
     try:
         return import_module("pyarrow"), import_module("pyarrow.parquet")

@@ -13,7 +13,7 @@ from gsrain_engine.scene.atomic_files import whole_file
 from ..rollouts.json_lines import write_rollout
 from .job import Job
 from .outcome import Outcome
-from .row import FINISHED, Row, encoded, parquet, row_of, rows_in
+from .row import FINISHED, Row, encoded, parquet, parquet_modules, row_of, rows_in
 from .sweep import Sweep
 
 _SUFFIX = ".parquet"
@@ -31,7 +31,11 @@ class SweepFolder:
         self.log = path / "log.jsonl"
 
     def describe(self, sweep: Sweep, jobs: Iterable[Job]) -> None:
-        """Write down what is run: sweep.json, and jobs.jsonl with all that each id stands for."""
+        """Write down what is run: sweep.json, and jobs.jsonl with all that each id stands for.
+
+        Raises ValueError where rows can't be written later: no job is to be done in vain.
+        """
+        parquet_modules()
         self.path.mkdir(parents=True, exist_ok=True)
         lines = sorted((job.id, msgspec.json.encode({"id": job.id, "job": job}, order="sorted")) for job in jobs)
         with whole_file(self.path / "sweep.json") as beside:

@@ -1,5 +1,6 @@
 import errno
 import os
+import sys
 
 import pytest
 from msgspec import structs
@@ -12,7 +13,7 @@ from gsrain_engine.drive.sweeps.run import SweepRun, run_sweep
 from gsrain_engine.drive.sweeps.sweep_folder import SweepFolder
 
 from .other_works import answer
-from .small_sweep import small_jobs
+from .small_sweep import small_jobs, sweep_of
 
 
 def finished(work):
@@ -37,6 +38,14 @@ def test_it_goes_on_where_it_was_stopped(tmp_path):
         rollout = read_rollout(folder.rollouts / f"{job.id}.jsonl")
         assert (rollout.seed, rollout.scene_hash, rollout.software["gsrain"]) == (job.seed, job.scene_hash, job.program)
         assert rollout.scenario["rain"]["intensity_mm_h"] == job.scenario.rain.intensity_mm_h
+
+
+def test_without_the_package_that_writes_rows_nothing_is_begun(tmp_path, monkeypatch):
+    folder = SweepFolder(tmp_path / "out")
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(ValueError, match="rows of sweeps take the package pyarrow"):
+        folder.describe(sweep_of(["cut-in"]), [])
+    assert not folder.path.exists()
 
 
 def test_a_failed_job_is_a_row_and_done_again_only_when_asked(tmp_path):
