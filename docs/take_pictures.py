@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
+import numpy as np
 from imgui_bundle import hello_imgui, imgui
 from imgui_bundle.immapp import testing
 from PIL import Image
@@ -24,6 +25,8 @@ from ui.tools import TOOLS
 
 IMAGES = Path(__file__).parent / "images"
 _SIZE = (1440, 900)
+_FOR_PANELS = (1440, 1300)
+"""High enough for the whole of most panels."""
 _QUALITY = 88
 _TOOL_WIDTH = 560
 _SPLIT_WIDTH = 960
@@ -32,6 +35,8 @@ _MOMENT_S = 5.4
 _IN_THE_DRIVE_S = 1.6
 """The car that stands is near, and the plan shows that it is seen."""
 _MOST_FRAMES = 500
+_NOTICED = 8
+"""Levels by which a row of a picture has to differ from an empty one."""
 _MARGIN = 16
 """Pixels that the test engine takes around a window."""
 
@@ -90,8 +95,8 @@ class Photographer:
                 self.ctx.mouse_down(0)
             self.frames(2)
 
-    def take(self, name: str, window: str | None = None, width: int | None = None) -> None:
-        """Picture a window of the program, or all of it, for the guide; at most so wide."""
+    def take(self, name: str, window: str | None = None, width: int | None = None, *, trimmed: bool = False) -> None:
+        """Picture a window of the program, or all of it, for the guide; at most so wide, without empty rows below."""
         self.frames()
         self.rest()
         taken = self._folder / f"{name}.png"
@@ -103,6 +108,8 @@ class Photographer:
             left, top = min(place.min.x, _MARGIN), min(place.min.y, _MARGIN)
             width_px, height_px = place.max.x - place.min.x, place.max.y - place.min.y
             picture = picture.crop((left, top, left + width_px, top + height_px))
+        if trimmed:
+            picture = picture.crop((0, 0, picture.width, _filled_px(picture)))
         if width is not None:
             picture.thumbnail((width, width))
         picture.save(IMAGES / f"{name}.jpg", quality=_QUALITY, optimize=True)
@@ -114,9 +121,16 @@ def picture_panels(camera: Photographer) -> None:
     session = camera.session
     session.set_rain("8.5 mm/h", msgspec.structs.replace(session.rain, intensity_mm_h=8.5))
     session.view.member = "layers/houses"
+    session.lab.measure(session.rain)
+    while session.lab.busy is not None:
+        camera.frames(1)
+    hello_imgui.change_window_size(_FOR_PANELS)
+    camera.frames()
     for panel in PANELS:
         camera.ctx.window_focus(f"//{panel.title}")
-        camera.take(f"panel_{_file_name(panel.title)}", panel.title)
+        camera.take(f"panel_{_file_name(panel.title)}", panel.title, trimmed=True)
+    hello_imgui.change_window_size(_SIZE)
+    camera.frames()
 
 
 def picture_tools(camera: Photographer) -> None:
@@ -240,6 +254,13 @@ def picture_drive(camera: Photographer) -> None:
     camera.take("panel_drive", "Drive")
     drives.close_all(session)
     session.go_home()
+
+
+def _filled_px(picture: Image.Image) -> int:
+    """Height of a panel's picture down to its last row that differs from the empty one at its lower edge."""
+    pixels = np.asarray(picture)[:-_MARGIN].astype(int)
+    rows = np.flatnonzero(np.abs(pixels - pixels[-1]).max(axis=(1, 2)) > _NOTICED)
+    return min(int(rows.max(initial=0)) + 1 + _MARGIN, picture.height)
 
 
 def _file_name(title: str) -> str:
