@@ -1,0 +1,45 @@
+"""What options give: no NaN, however they are grouped, and errors that name the option as it is typed."""
+
+import math
+from dataclasses import dataclass
+
+import pytest
+
+from app.commands.arguments import finite
+from app.commands.converted_options import RAIN_OPTIONS, converted_options
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.render.recording import Recording
+
+
+@dataclass
+class _Grouped:
+    first_s: float
+    bounds: tuple[float, float] = (0.0, 1.0)
+
+
+def test_no_option_takes_nan_however_deep_it_stands():
+    for value in (1.0, (1.0, 2.0), [1.0], _Grouped(1.0), "nan", None):
+        finite(None, value)
+    for value in (math.nan, (1.0, math.inf), [-math.inf]):
+        with pytest.raises(ValueError, match=r"^Expected a finite number\.$"):
+            finite(None, value)
+    with pytest.raises(ValueError, match=r"^--first-s: Expected a finite number\.$"):
+        finite(None, _Grouped(math.nan))
+    with pytest.raises(ValueError, match=r"^--bounds: Expected a finite number\.$"):
+        finite(None, _Grouped(1.0, (0.0, math.nan)))
+
+
+@pytest.mark.parametrize(
+    ("values", "kind", "says"),
+    [
+        ({"intensity_mm_h": -3.0}, Rain, "--rain: Expected `float` >= 0.0"),
+        ({"exposure_s": 2.0}, Rain, "--exposure must be within 0.00001..1 s, got 2.0"),
+        ({"haze_count": -1}, Rain, "--haze-count must be within 0..200000, got -1"),
+        ({"output": "a", "passes": ["blue"]}, Recording,
+         "--passes: Invalid enum value 'blue', expected alpha, color, depth, labels"),
+    ],
+)  # fmt: skip
+def test_an_error_names_the_option(values, kind, says):
+    with pytest.raises(ValueError) as error:
+        converted_options(values, kind, RAIN_OPTIONS)
+    assert str(error.value) == says
