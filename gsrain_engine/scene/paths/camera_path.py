@@ -43,12 +43,12 @@ class CameraPath:
         arrays = (self.times_s, self.positions, self.quaternions_wxyz, self.vertical_fov_deg)
         if [len(array) for array in arrays] != [keys] * 4:
             raise ValueError("a camera path needs a place, a rotation and a field of view for each of its times")
-        if not all(np.isfinite(array).all() for array in arrays):
+        if not all(np.isfinite(array).all() for array in arrays if array is not self.quaternions_wxyz):
             raise ValueError("a keyframe holds a number that is not finite")
         if not max((np.abs(array).max(initial=0) for array in arrays), default=0) < _FARTHEST:
             raise ValueError(f"a keyframe holds a number above {_FARTHEST:g}")
         if not (np.abs(np.linalg.norm(self.quaternions_wxyz, axis=1) - 1) < _NOT_UNIT).all():
-            raise ValueError("a keyframe holds a rotation that is none: its quaternion must not be 0")
+            raise ValueError("a keyframe holds a rotation that is none: its quaternion must be finite and not 0")
         if keys and not (self.vertical_fov_deg.min() > _NARROWEST_DEG and self.vertical_fov_deg.max() < 180):
             raise ValueError("the vertical field of view must be above 0 and below 180 degrees")
         if keys == 0 or np.any(np.diff(self.times_s) < _SHORTEST_S):

@@ -132,6 +132,8 @@ def test_training_cameras_are_flown_in_the_order_of_their_names(tmp_path, names,
         ('{"keyframes": [{"time_s": 0}]}', "no field 'position'"),
         ('{"keyframes": [{"time_s": 0, "position": [0, 0, 0], "quaternion_wxyz": [1, 0, 0, 0], '
          '"vertical_fov_deg": 180}]}', "below 180"),
+        ('{"keyframes": [{"time_s": 0, "position": [0, 0, 0], "quaternion_wxyz": [0, 0, 0, 0], '
+         '"vertical_fov_deg": 40}]}', "its quaternion must be finite and not 0"),
     ],
 )  # fmt: skip
 def test_bad_paths_say_what_is_wrong(tmp_path, text, words):
