@@ -13,6 +13,9 @@ HALF_WINDOW_PX = WINDOW_PX // 2
 LEAST_WEIGHT = 1e-8
 """Where the mask leaves less of a window than this there is nothing to compare."""
 
+_BAND_ROWS = 32
+"""SSIM goes down the picture in bands of so many rows, whose intermediate results stay in the processor's cache."""
+
 Image = Float[np.ndarray, "h w 3"]
 Mask = Bool[np.ndarray, "h w"]
 
@@ -71,6 +74,12 @@ def ssim_map(rendered: Image, truth: Image, mask: Mask | None = None) -> Float64
     check_pair(rendered.shape, truth.shape, None if mask is None else mask.shape)
     if min(rendered.shape[:2]) < WINDOW_PX:
         raise ValueError(f"SSIM takes pictures of at least {WINDOW_PX} px a side, not {rendered.shape[:2]}")
+    tops = range(0, len(rendered) - 2 * HALF_WINDOW_PX, _BAND_ROWS)
+    bands = [slice(top, top + _BAND_ROWS + 2 * HALF_WINDOW_PX) for top in tops]
+    return np.concatenate([_similarity(rendered[b], truth[b], None if mask is None else mask[b]) for b in bands])
+
+
+def _similarity(rendered: Image, truth: Image, mask: Mask | None) -> Float64[np.ndarray, "hv wv 3"]:
     x, y = rendered.astype(np.float64), truth.astype(np.float64)
     weights = None if mask is None else mask.astype(np.float64)[..., None]
 

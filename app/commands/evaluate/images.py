@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
-from jaxtyping import Bool
+from jaxtyping import Bool, UInt8
 from rich.console import Console
 from rich.table import Table
 
@@ -34,6 +34,7 @@ _COLUMNS = 120
 _MOST_ROWS = 40
 
 Mask = Bool[np.ndarray, "h w"]
+Picture = UInt8[np.ndarray, "h w 3"]
 
 
 def images(
@@ -71,8 +72,9 @@ def images(
     with progress_bar("Comparing", len(pairs)) as advance:
         for a, b in pairs:
             mask = b.mask if masks is None else _mask(masks, b)
-            rows.append(_compared(a, b, mask, distance))
-            hashes.append((picture_hash(a.image), picture_hash(b.image)))
+            pictures = a.image, b.image  # each is read anew
+            rows.append(_compared(b.name, *pictures, mask, distance))
+            hashes.append((picture_hash(pictures[0]), picture_hash(pictures[1])))
             shares.append(1.0 if mask is None else float(mask.mean()))
             advance()
     left_out = len(first) + len(second) - 2 * len(pairs)
@@ -107,13 +109,13 @@ def _mask(folder: Path, view: View) -> Mask:
     return read_labels(file) > 0
 
 
-def _compared(shown: View, truth: View, mask: Mask | None, distance: Distance | None) -> Comparison:
-    a, b = (view.image.astype(np.float32) / np.float32(255) for view in (shown, truth))
+def _compared(name: str, shown: Picture, truth: Picture, mask: Mask | None, distance: Distance | None) -> Comparison:
+    a, b = (picture.astype(np.float32) / np.float32(255) for picture in (shown, truth))
     try:
         check_pair(a.shape, b.shape, None if mask is None else mask.shape)
-        return Comparison.measured(truth.name, a, b, mask, distance)
+        return Comparison.measured(name, a, b, mask, distance)
     except ValueError as error:
-        raise ValueError(f"{truth.name}: {error}") from None
+        raise ValueError(f"{name}: {error}") from None
 
 
 def _columns(rows: Sequence[Comparison]) -> dict[str, list[float]]:
