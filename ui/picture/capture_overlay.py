@@ -1,6 +1,5 @@
 """The open capture in the picture: measured points, recorded cameras with their pictures, and the one looked from."""
 
-import numpy as np
 from imgui_bundle import ImVec4, imgui
 
 from gsrain_engine.scene.camera import Camera
@@ -78,7 +77,7 @@ def _frustum(session: Session, viewport: Viewport, frustum: Frustum, *, is_near:
     hue = CHOSEN if is_chosen or is_near else _CAMERA
     for (x0, y0), (x1, y1) in frustum.lines_px.tolist():
         draw.add_line(viewport.on_screen(x0, y0), viewport.on_screen(x1, y1), color(hue), 2.0 if is_chosen else 1.0)
-    if np.isfinite(frustum.eye_px[0]):
+    if frustum.eye_px is not None:
         at = viewport.on_screen(*frustum.eye_px)
         draw.add_circle_filled(at, _HANDLE + 1.5 + 2 * is_near, color(OUTLINE))
         draw.add_circle_filled(at, _HANDLE + 2 * is_near, color(hue))
@@ -86,7 +85,7 @@ def _frustum(session: Session, viewport: Viewport, frustum: Frustum, *, is_near:
 
 def _under_the_mouse(viewport: Viewport, found: list[Frustum]) -> Frustum | None:
     x, y = viewport.mouse_px
-    near = [each for each in found if abs(each.eye_px[0] - x) <= _REACH and abs(each.eye_px[1] - y) <= _REACH]
+    near = [each for each in found if (at := each.eye_px) and abs(at[0] - x) <= _REACH and abs(at[1] - y) <= _REACH]
     return near[-1] if near else None
 
 

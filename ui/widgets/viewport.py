@@ -7,6 +7,7 @@ from imgui_bundle import ImVec2, imgui
 from jaxtyping import Float64
 
 from gsrain_engine.render.scene_view import Shot
+from gsrain_engine.session.view.projection import projected_point
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,5 @@ class Viewport:
 
     def pixel(self, point_m: Float64[np.ndarray, "3"]) -> tuple[float, float] | None:
         """Pixel at which a point of the world is seen; None behind the eye."""
-        camera = self.shot.camera
-        x, y, z = camera.world_to_camera[:3, :3] @ point_m + camera.world_to_camera[:3, 3]
-        return (camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy) if z > 0.05 else None
+        seen = projected_point(point_m, self.shot.camera)
+        return seen and (seen.x, seen.y)

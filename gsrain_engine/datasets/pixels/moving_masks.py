@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from PIL import Image
 
+from gsrain_engine.scene.box_corners import before_camera, box_corners
+
 from ..capture import Capture, CaptureError, TrackedBox, View
 
 MOVING_M_S = 0.5
@@ -17,9 +19,6 @@ _LEAST_WAY_M = 0.4
 """Annotations jitter: what has come less far than this over the capture has stood."""
 _MOVERS = ("car", "truck", "van", "bus", "vehicle", "trailer", "tram", "train", "cycl", "bike", "motor", "rider")
 _PEOPLE = ("person", "pedestrian", "human", "child", "adult", "animal", "sitting")
-_NEAR_M = 0.1
-_CORNERS = np.stack(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [0.0, 1.0], indexing="ij"), axis=-1).reshape(8, 3)
-_EDGES = np.array([(a, b) for a in range(8) for b in range(a) if (_CORNERS[a] != _CORNERS[b]).sum() == 1])
 
 
 def can_move(box: TrackedBox) -> bool:
@@ -84,10 +83,9 @@ def box_outline(view: View, box: TrackedBox, margin_m: float = 0.0) -> Float64[n
     if pose is None:
         return np.zeros((0, 2))
     size = np.array(box.size_lwh) + 2 * margin_m
-    corners = _CORNERS * size - [0, 0, margin_m]
-    to_camera = view.camera.world_to_camera @ pose
-    seen = corners @ to_camera[:3, :3].T + to_camera[:3, 3]
-    points = _before(seen)
+    pose = pose.copy()
+    pose[:3, 3] -= margin_m * pose[:3, 2]
+    points = before_camera(box_corners(view.camera.world_to_camera @ pose, size))
     if not len(points):
         return np.zeros((0, 2))
     focal, middle = [view.camera.fx, view.camera.fy], [view.camera.cx, view.camera.cy]
@@ -97,15 +95,6 @@ def box_outline(view: View, box: TrackedBox, margin_m: float = 0.0) -> Float64[n
     low, high = hull.min(axis=0), hull.max(axis=0)
     is_beside = (high < 0).any() or low[0] > view.camera.width or low[1] > view.camera.height
     return np.zeros((0, 2)) if is_beside else hull
-
-
-def _before(corners: Float64[np.ndarray, "8 3"]) -> Float64[np.ndarray, "c 3"]:
-    """Corners of a box in the camera's frame, cut off where it reaches behind the camera."""
-    start, end = corners[_EDGES[:, 0]], corners[_EDGES[:, 1]]
-    crosses = (start[:, 2] > _NEAR_M) != (end[:, 2] > _NEAR_M)
-    start, end = start[crosses], end[crosses]
-    part = ((_NEAR_M - start[:, 2]) / (end[:, 2] - start[:, 2]))[:, None]
-    return np.concatenate([corners[corners[:, 2] > _NEAR_M], start + part * (end - start)])
 
 
 def read_camera_masks(folder: Path | str) -> dict[str, Bool[np.ndarray, "h w"]]:

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from gsrain_engine.datasets.capture import TrackedBox
-from gsrain_engine.render.objects.box_outline import bounds, box_corners, cut_at_edges, outline
+from gsrain_engine.render.objects.box_outline import bounds, cut_at_edges, outline
+from gsrain_engine.scene.box_corners import box_corners
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.coco_classes import coco_class
 

@@ -4,30 +4,16 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
+from gsrain_engine.scene.box_corners import before_camera
 from gsrain_engine.scene.camera import Camera
 
 BoxXYXY = tuple[float, float, float, float]
 """Left, top, right, bottom in pixels; the left edge of the first column is 0."""
 
-_NEAR_M = 0.1
-_CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
-_EDGES = np.array([(a, b) for a in range(8) for b in range(a) if (_CORNERS[a] != _CORNERS[b]).sum() == 1])
-
-
-def box_corners(
-    to_camera: Float64[np.ndarray, "4 4"], size_lwh_m: tuple[float, float, float]
-) -> Float64[np.ndarray, "8 3"]:
-    """Corners of a box (x forward, y left, z up, origin at the bottom centre) in the camera's frame, in metres."""
-    return (_CORNERS * size_lwh_m) @ to_camera[:3, :3].T + to_camera[:3, 3]
-
 
 def outline(corners: Float64[np.ndarray, "8 3"], camera: Camera) -> Float64[np.ndarray, "c 2"]:
     """Convex outline of a box in pixels, not cut at the picture's edges; none where all of it is behind the camera."""
-    start, end = corners[_EDGES[:, 0]], corners[_EDGES[:, 1]]
-    crosses = (start[:, 2] > _NEAR_M) != (end[:, 2] > _NEAR_M)
-    start, end = start[crosses], end[crosses]
-    part = ((_NEAR_M - start[:, 2]) / (end[:, 2] - start[:, 2]))[:, None]
-    points = np.concatenate([corners[corners[:, 2] > _NEAR_M], start + part * (end - start)])
+    points = before_camera(corners)
     if len(points) < 3:
         return np.zeros((0, 2))
     pixels = points[:, :2] / points[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]

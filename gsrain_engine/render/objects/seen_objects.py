@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
+from gsrain_engine.scene.box_corners import box_corners
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Part, rows_of
@@ -18,7 +19,7 @@ from gsrain_engine.scene.scene import Scene
 
 from ..labels import only_channel
 from ..renderer import Renderer
-from .box_outline import BoxXYXY, area_px, bounds, box_corners, cut_at_edges, outline
+from .box_outline import BoxXYXY, area_px, bounds, cut_at_edges, outline
 
 LEAST_SHARE = 0.5
 """A pixel shows an object where at least this share of its light comes from it."""

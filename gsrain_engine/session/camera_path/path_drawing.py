@@ -12,7 +12,7 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.paths.camera_path import CameraPath
 
 from ..document.viewed_document import ViewedDocument
-from ..view.line_projection import NEAR_M, projected_lines
+from ..view.projection import NEAR_M, projected_lines, projected_point
 from .edits import place_key
 
 _SAMPLES_A_SECOND, _MOST_SAMPLES = 12, 700
@@ -87,11 +87,11 @@ def _sampled(path: CameraPath) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.n
 
 
 def _key_mark(path: CameraPath, key: int, camera: Camera) -> KeyMark | None:
-    x, y, z = camera.world_to_camera[:3, :3] @ path.positions[key] + camera.world_to_camera[:3, 3]
-    if z < NEAR_M:
+    seen = projected_point(path.positions[key], camera)
+    if seen is None:
         return None
     there = path.camera(float(path.times_s[key]), 3, 2)
-    return KeyMark(key, (camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy), _frustum(there, camera))
+    return KeyMark(key, (seen.x, seen.y), _frustum(there, camera))
 
 
 def _frustum(shown: Camera, camera: Camera) -> Float64[np.ndarray, "k 2 2"]:

@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.scene.camera import Camera
 
-from ..view.line_projection import NEAR_M, projected_lines
+from ..view.projection import NEAR_M, projected_lines, projected_point
 
 MOST_FRUSTUMS = 100
 """Those nearest to the eye are drawn: more of them hide what they stand in."""
@@ -21,8 +21,8 @@ class Frustum(NamedTuple):
     """One recorded camera in the picture."""
 
     view: int
-    eye_px: tuple[float, float]
-    """Where its centre of projection is seen."""
+    eye_px: tuple[float, float] | None
+    """Where its centre of projection is seen; None where it is not."""
     lines_px: Float64[np.ndarray, "m 2 2"]
 
 
@@ -58,10 +58,9 @@ def frustums(cameras: RecordedCameras, views: Sequence[int], length_m: float, ca
     depth = lines @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
     seen = (depth > NEAR_M).any(axis=2).sum(axis=1)
     drawn = np.split(projected_lines(lines.reshape(-1, 2, 3), camera), np.cumsum(seen)[:-1])
-    at = eyes @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     return [
-        Frustum(int(view), _pixel(place, camera), own)
-        for view, place, own in zip(nearest, at, drawn, strict=True)
+        Frustum(int(view), seen and (seen.x, seen.y), own)
+        for view, seen, own in zip(nearest, (projected_point(each, camera) for each in eyes), drawn, strict=True)
         if len(own)
     ]
 
@@ -86,12 +85,6 @@ def picture_grid(
         return None
     focal, center = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     return (focal * seen[:, :2] / seen[:, 2:] + center).reshape(*columns.shape, 2)
-
-
-def _pixel(seen: Float64[np.ndarray, "3"], camera: Camera) -> tuple[float, float]:
-    """Where a place in the camera's frame is seen; infinitely far away behind the eye."""
-    x, y, z = seen.tolist()
-    return (camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy) if z > NEAR_M else (np.inf, np.inf)
 
 
 def fitting_fov_deg(shown: Camera, aspect: float) -> float:

@@ -1,7 +1,6 @@
 """A roll-out as lines in the picture: everybody's box, the plan on the road, the way that was driven."""
 
 from dataclasses import dataclass
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -9,13 +8,12 @@ from jaxtyping import Float64
 
 from gsrain_engine.drive.rollouts.rollout import RolloutStep
 from gsrain_engine.drive.traffic.road_user import RoadUser
+from gsrain_engine.scene.box_corners import EDGES, box_corners
 from gsrain_engine.scene.camera import Camera
 
-from ..view.line_projection import NEAR_M, projected_lines
+from ..view.projection import projected_lines, projected_point
 from .shown_rollout import ShownRollout
 
-_CORNERS = np.array(list(product((-0.5, 0.5), (-0.5, 0.5), (0.0, 1.0))))
-_EDGES = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1])
 _ABOVE_ROAD_M = 0.04
 _DOT_M = 0.16
 _LEAST_PX, _MOST_PX = 2.0, 10.0
@@ -64,7 +62,7 @@ def rollout_drawing(shown: ShownRollout, clock_s: float, camera: Camera, *, from
         boxes.append(_box(_ego(shown, time_s), camera, is_hit=hit is not None, is_ego=True))
     plan = planned_places(shown, step, time_s)
     driven = _driven(shown, time_s) if not from_inside else np.zeros((0, 3))
-    dots = [dot for place in plan[1:] if (dot := _pixel(place, camera)) is not None]
+    dots = [dot for place in plan[1:] if (dot := _dot(place, camera)) is not None]
     return RolloutDrawing(boxes, _projected(plan, camera), dots, _projected(driven, camera))
 
 
@@ -99,11 +97,9 @@ def _ego(shown: ShownRollout, time_s: float) -> RoadUser:
 
 
 def _box(user: RoadUser, camera: Camera, *, is_hit: bool, is_ego: bool = False) -> BoxMark:
-    corners = (_CORNERS * user.size_lwh) @ user.pose[:3, :3].T + user.pose[:3, 3]
-    top = user.pose[:3, 3] + (0.0, 0.0, user.size_lwh[2])
-    at = _pixel(top, camera)
-    where = None if at is None else (at.x, at.y)
-    return BoxMark(user.id, projected_lines(corners[_EDGES], camera), where, user.speed_m_s, is_hit, is_ego)
+    lines = projected_lines(box_corners(user.pose, user.size_lwh)[EDGES], camera)
+    top = projected_point(user.pose[:3, 3] + (0.0, 0.0, user.size_lwh[2]), camera)
+    return BoxMark(user.id, lines, None if top is None else (top.x, top.y), user.speed_m_s, is_hit, is_ego)
 
 
 def _projected(places: Float64[np.ndarray, "n 3"], camera: Camera) -> Float64[np.ndarray, "m 2 2"]:
@@ -116,9 +112,8 @@ def _projected(places: Float64[np.ndarray, "n 3"], camera: Camera) -> Float64[np
     return projected_lines(np.stack([fine[:-1], fine[1:]], axis=1), camera)
 
 
-def _pixel(place: Float64[np.ndarray, "3"], camera: Camera) -> Dot | None:
-    x, y, z = camera.world_to_camera[:3, :3] @ place + camera.world_to_camera[:3, 3]
-    if z < NEAR_M:
+def _dot(place: Float64[np.ndarray, "3"], camera: Camera) -> Dot | None:
+    seen = projected_point(place, camera)
+    if seen is None:
         return None
-    radius = float(np.clip(_DOT_M * camera.fx / z, _LEAST_PX, _MOST_PX))
-    return Dot(float(camera.fx * x / z + camera.cx), float(camera.fy * y / z + camera.cy), radius)
+    return Dot(seen.x, seen.y, float(np.clip(_DOT_M * camera.fx / seen.depth_m, _LEAST_PX, _MOST_PX)))

@@ -1,5 +1,6 @@
 """Faces of a rain region as they are dragged in the view: where they can be gripped, and how far they are pulled."""
 
+import math
 from dataclasses import dataclass
 from itertools import product
 from typing import Literal
@@ -11,9 +12,10 @@ from jaxtyping import Float64
 from gsrain_engine.rain.rain import Box
 from gsrain_engine.scene.camera import Camera
 
+from ..view.projection import NEAR_M, projected_point
+
 RegionName = Literal["streak_region", "haze_region"]
 
-_NEAR_M = 0.05
 _END_ON_PX = 8.0
 """A face that moves less than this for a tenth of its distance is seen end-on: the mouse's height moves it."""
 _FARTHEST_M, _THINNEST_M = 200.0, 0.1
@@ -82,9 +84,10 @@ class FacePull:
     def is_end_on(self) -> bool:
         """Whether the face moves along the line of sight, so that the mouse's height has to stand for it."""
         here, there = (
-            self._pixel(self.handle.point_m + step * self.handle.normal) for step in (0.0, self._distance / 10)
+            projected_point(self.handle.point_m + step * self.handle.normal, self.camera)
+            for step in (0.0, self._distance / 10)
         )
-        return there is None or here is None or float(np.hypot(*(there - here))) < _END_ON_PX
+        return there is None or here is None or math.hypot(there.x - here.x, there.y - here.y) < _END_ON_PX
 
     def _along(self, x: float, y: float) -> float:
         """How far along the normal, from the handle, a pixel is."""
@@ -101,11 +104,6 @@ class FacePull:
     @property
     def _distance(self) -> float:
         return max(float(np.linalg.norm(self.handle.point_m - self.camera.position)), 0.5)
-
-    def _pixel(self, point_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "2"] | None:
-        camera = self.camera
-        x, y, z = camera.world_to_camera[:3, :3] @ point_m + camera.world_to_camera[:3, 3]
-        return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy]) if z > _NEAR_M else None
 
 
 def _corners(
@@ -129,7 +127,7 @@ def _seen_middle(
     x, y, wide, high = camera.cx, camera.cy, camera.width, camera.height
     left, right = (inset * wide - x) / camera.fx, ((1 - inset) * wide - x) / camera.fx
     top, bottom = (inset * high - y) / camera.fy, ((1 - inset) * high - y) / camera.fy
-    planes = ((0, 0, 1, -_NEAR_M), (1, 0, -left, 0), (-1, 0, right, 0), (0, 1, -top, 0), (0, -1, bottom, 0))
+    planes = ((0, 0, 1, -NEAR_M), (1, 0, -left, 0), (-1, 0, right, 0), (0, 1, -top, 0), (0, -1, bottom, 0))
     for plane in planes:
         seen = _cut(seen, np.array(plane, np.float64))
         if len(seen) < 3:

@@ -8,12 +8,11 @@ from jaxtyping import Float64
 
 from gsrain_engine.rain.rain import Box
 from gsrain_engine.render.scene_view import rain_anchor
+from gsrain_engine.scene.box_corners import EDGES
 from gsrain_engine.scene.camera import Camera
 
 from ..document.viewed_document import ViewedDocument
-from ..view.line_projection import projected_lines
-
-_EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
+from ..view.projection import projected_lines
 
 
 class RegionOutline(NamedTuple):
@@ -42,4 +41,4 @@ def project_edges(
     """Project the twelve edges of a box, each cut off at the near plane."""
     corners = np.array(list(product(*zip(box.minimum_m, box.maximum_m, strict=True))))
     in_world = corners @ anchor_to_world[:3, :3].T + anchor_to_world[:3, 3]
-    return projected_lines(in_world[_EDGES], camera)
+    return projected_lines(in_world[EDGES], camera)

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from gsrain_engine.render.objects.box_outline import area_px, bounds, box_corners, cut_at_edges, outline
+from gsrain_engine.render.objects.box_outline import area_px, bounds, cut_at_edges, outline
+from gsrain_engine.scene.box_corners import box_corners
 from gsrain_engine.scene.camera import Camera
 
 CAMERA = Camera(200, 100, 100.0, 100.0, 100.0, 50.0)

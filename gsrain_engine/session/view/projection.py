@@ -1,4 +1,6 @@
-"""Lines of the world as lines in the picture."""
+"""Points and lines of the world in the picture."""
+
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -6,6 +8,20 @@ from jaxtyping import Float64
 from gsrain_engine.scene.camera import Camera
 
 NEAR_M = 0.05
+
+
+class Seen(NamedTuple):
+    """A point in the picture."""
+
+    x: float
+    y: float
+    depth_m: float
+
+
+def projected_point(point: Float64[np.ndarray, "3"], camera: Camera) -> Seen | None:
+    """A point of the world (metres) in pixels; None before the near plane."""
+    x, y, z = (camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]).tolist()
+    return Seen(camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z) if z > NEAR_M else None
 
 
 def projected_lines(lines: Float64[np.ndarray, "n 2 3"], camera: Camera) -> Float64[np.ndarray, "m 2 2"]:
