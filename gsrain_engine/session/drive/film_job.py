@@ -16,9 +16,9 @@ from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
 from ..jobs.copied_scene_job import CopiedSceneJob
+from ..jobs.orderly_end import end_files_when_told
 from ..jobs.worker import Job
 from ..log import told
-from ..recording.recorded_project import end_files_when_told
 
 logger = logging.getLogger("gsrain")
 

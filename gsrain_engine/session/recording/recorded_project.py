@@ -1,7 +1,5 @@
 """Records a saved scene with its own rain, weather and path, as `gsrain render PROJECT` does."""
 
-import signal
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +15,7 @@ from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
+from ..jobs.orderly_end import end_files_when_told
 from ..view.home_camera import default_path
 
 
@@ -45,12 +44,3 @@ def record_in_worker(folder: Path, recording: Recording) -> Iterator[Progress]:
     """Record as work of another process: told to end, it ends its videos first."""
     end_files_when_told()
     yield from record_project(folder, recording)
-
-
-def end_files_when_told() -> None:
-    """In a worker: unwind when the process is told to end, so that its videos are closed properly."""
-    signal.signal(signal.SIGTERM, _leave)
-
-
-def _leave(*_: object) -> None:
-    sys.exit(1)
