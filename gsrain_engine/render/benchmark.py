@@ -35,7 +35,7 @@ class FrameTimes:
     splats: int
     """Of scene and rain, drawn in the last frame."""
     drops_drawn: int
-    haze_gaussians: int
+    haze_drawn: int
     frames: int
     frame_ms_median: float
     frame_ms_min: float
@@ -99,7 +99,7 @@ class _Run:
             gaussians=sum(part.drawn_count for part in scene.parts(sequence.time_s(frames - 1))),
             splats=splats,
             drops_drawn=self.last.drops_drawn,
-            haze_gaussians=self.last.haze_drawn,
+            haze_drawn=self.last.haze_drawn,
             frames=frames,
             frame_ms_median=median(self.frames_ms),
             frame_ms_min=min(self.frames_ms),

@@ -15,7 +15,7 @@ SMALL_CALL = {"sizes": "48x32", "frames": 2, "backends": "cpu"}
 SMALL = {f"--{name}": str(value) for name, value in SMALL_CALL.items()}
 ROW = {
     *("scene", "backend", "width", "height", "splats", "intensity_mm_h", "frame_ms_median", "stages_ms"),
-    *("gaussians", "frames", "frame_ms_min", "frame_ms_max", "ns_per_splat", "drops_drawn", "haze_gaussians"),
+    *("gaussians", "frames", "frame_ms_min", "frame_ms_max", "ns_per_splat", "drops_drawn", "haze_drawn"),
 }
 """Of each row, at least; the first eight are the contract."""
 
@@ -47,7 +47,7 @@ def test_rows_say_what_was_timed(tmp_path, capsys):
     clear, rainy = rows[:2]
     assert clear["gaussians"] == rainy["gaussians"] == 2000
     assert 1500 < clear["splats"] <= 2000
-    assert clear["drops_drawn"] == clear["haze_gaussians"] == 0 < rainy["haze_gaussians"]
+    assert clear["drops_drawn"] == clear["haze_drawn"] == 0 < rainy["haze_drawn"]
     assert rainy["splats"] > clear["splats"]
     assert report["fits"] == []
     assert [(cost["scene"], cost["intensity_mm_h"]) for cost in report["rain_costs"]] == [

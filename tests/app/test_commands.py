@@ -50,10 +50,11 @@ def test_render_writes_a_still_and_its_numbers(room, tmp_path, capsys):
     assert np.asarray(Image.open(out)).shape == (64, 96, 3)
     assert np.asarray(Image.open(out)).mean() > 20
     report = json.loads(numbers.read_text())
-    assert {"frames", "seconds", "splats", "drops", "drops_drawn", "haze_gaussians", "backend", "intensity_mm_h",
-            "implied_mm_h"} <= set(report)  # fmt: skip
+    assert {"frames", "seconds", "splats", "drops", "drops_drawn", "haze_gaussians", "haze_drawn", "backend",
+            "intensity_mm_h", "implied_mm_h"} <= set(report)  # fmt: skip
     assert (report["frames"], report["intensity_mm_h"], report["implied_mm_h"]) == (1, 8.5, 8.5)
     assert report["drops"] == 331_752
+    assert report["haze_gaussians"] == 713  # beta V_f / (2 pi s_h^2 alpha_m)
     assert str(out) in capsys.readouterr().out
 
 
