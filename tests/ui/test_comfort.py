@@ -65,14 +65,16 @@ def test_a_panel_that_is_hidden_is_brought_back_by_its_name(driver):
         log.is_visible = False
         driver.frames(3)
         assert not imgui.internal.find_window_by_name("Log").active
+        assert not imgui.internal.find_window_by_name("Timeline").hidden
         driver.ctx.window_focus("//View")
         driver.press(chord(_CTRL, imgui.Key.p))
         driver.frames(3)
         driver.ctx.key_chars("panel log")
         driver.frames(3)
         driver.press(imgui.Key.enter)
-        driver.until(lambda: imgui.internal.find_window_by_name("Log").dock_tab_is_visible)
-        assert log.is_visible and len(panel_windows()) == len(PANELS)
+        driver.until(lambda: log.is_visible and not imgui.internal.find_window_by_name("Log").hidden)
+        assert imgui.internal.find_window_by_name("Timeline").hidden  # it is in front of it
+        assert len(panel_windows()) == len(PANELS)
 
     driver.run(script)
 
