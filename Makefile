@@ -10,7 +10,7 @@ OUT ?= out
 
 demo: setup
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
-		$(RUN)/gsrain --preset 8.5; \
+		$(RUN)/gsrain --preset 8.5 --wet; \
 	else \
 		$(RUN)/gsrain render -o $(OUT)/demo.mp4 --rain 8.5 --wet --duration 6 && \
 		echo "The video is at $(CURDIR)/$(OUT)/demo.mp4 (no display here; with one, make demo opens the window)"; \

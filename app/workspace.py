@@ -56,8 +56,8 @@ _WAITING_FPS = 30.0
 """Enough for a bar that moves: what is waited for needs the processor more."""
 
 
-def begin_session(scene: str | None, rain: Rain | None) -> Session:
-    """Begin a session that opens a scene in the background; none is the built-in street.
+def begin_session(scene: str | None, rain: Rain | None, wet: bool = False) -> Session:
+    """Begin a session that opens a scene in the background, and makes it rainy if asked; none is the built-in street.
 
     After a lost graphics context it goes on with what was open.
     """
@@ -66,6 +66,8 @@ def begin_session(scene: str | None, rain: Rain | None) -> Session:
         session.files.go_on_at(left.kept)
     else:
         session.open((left and left.scene) or scene or "street")
+        if wet:
+            session.rainy.make_soon()
     if left is not None:
         session.problem = _STARTED_AGAIN + (_WITH_CHANGES if left.kept is not None else "")
     session.files.offer_recovery()

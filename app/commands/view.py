@@ -18,6 +18,7 @@ def view(
     preset: Annotated[
         str | None, Parameter(help="Rain preset (clear, 1.2, 8.5, 12.0, paper) or a preset file.")
     ] = None,
+    wet: Annotated[bool, Parameter(help="Begin by making the scene rainy, as its panel does.", negative="")] = False,
     backend: Annotated[
         Literal["auto", "opengl", "cpu"], Parameter(help="auto takes OpenGL on a GPU, else the processor.")
     ] = "auto",
@@ -35,6 +36,6 @@ def view(
         from app.workspace import begin_session  # and the engine behind the window
         from gsrain_engine.rain.presets import load_preset
 
-        return begin_session(scene, load_preset(preset) if preset else None)
+        return begin_session(scene, load_preset(preset) if preset else None, wet)
 
     run_window(begin, backend)

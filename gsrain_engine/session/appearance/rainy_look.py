@@ -45,6 +45,7 @@ class RainyLook:
         """Size of the viewport at the last frame."""
         self._scene_files, self._files = scene_files, files
         self._preview: TransferPreview | None = None
+        self._is_wanted = False
 
     @property
     def row(self) -> Method:
@@ -123,7 +124,11 @@ class RainyLook:
             session.clock.seek(self.previewed.time_s)
 
     def poll(self, session: Desk) -> None:
-        """Take in a preview that has come. Once a frame."""
+        """Take in a preview that has come, and start a job that was waiting for the scene. Once a frame."""
+        if self._is_wanted and session.scene.gaussian_count and self._why_wait(session) is None:
+            self._is_wanted = False
+            session.problem = self.why_not(session) or session.problem
+            self.make(session)
         if self._preview is None or self._preview.state == "running":
             return
         done, self._preview = self._preview, None
@@ -141,6 +146,10 @@ class RainyLook:
         capture = session.captures.path if uses_capture(session, self.choice.source) else None
         order = TransferOrder(self.method, self.settings, self.choice, capture)
         session.start(SceneJob(RainyScene(session.scene, self._scene_files.known, order), self._files))
+
+    def make_soon(self) -> None:
+        """Start the job as soon as a scene is there."""
+        self._is_wanted = True
 
     def newest(self, session: Desk) -> tuple[int, BackgroundJob] | None:
         """Return the last job of this kind, with its place among all jobs."""

@@ -15,8 +15,10 @@ from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
 from gsrain_engine.reconstruct.recoloring.recolored_file import read_recolored
 from gsrain_engine.scene.formats.scene_folder import write_scene_folder
 from gsrain_engine.scene.progress import Progress
+from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.appearance import transfer_training
 from gsrain_engine.session.appearance.previewed_view import PreviewedView, Recipe
+from gsrain_engine.session.appearance.rainy_scene_job import TITLE
 from gsrain_engine.session.appearance.transfer_work import TransferOrder, make_rainy, preview_view
 from gsrain_engine.session.appearance.view_sources import why_no_views
 from gsrain_engine.session.session import Session
@@ -90,6 +92,31 @@ def test_views_that_a_scene_has_not_are_named(session):
     session.set_scene("Without a drive", replace(session.scene, ego=None))
     assert "no drive" in why_no_views(session, "rig")
     assert why_no_views(session, "auto") is None
+
+
+def test_a_scene_is_made_rainy_once_as_soon_as_it_is_there(session):
+    scene = session.scene
+    session.set_scene("Nothing yet", Scene("nothing"))
+    session.rainy.make_soon()
+    session.update(0.0)
+    assert not session.jobs
+    session.set_scene("Everything", scene)
+    session.update(0.0)
+    (job,) = session.jobs
+    assert (job.title, session.problem) == (TITLE, None)
+    job.cancel()
+    session.update(0.0)
+    session.update(0.0)
+    assert session.jobs == [job]
+    assert job.state == "cancelled"
+
+
+def test_what_a_method_lacks_is_said_once_the_scene_is_there(session):
+    session.rainy.method = "images"
+    session.rainy.make_soon()
+    session.update(0.0)
+    assert session.problem == "Pictures: choose a folder of pictures first."
+    assert not session.jobs
 
 
 def learning(task):
