@@ -29,16 +29,6 @@ def nothing() -> None:
     """Do nothing: what Cancel means."""
 
 
-def replace_question(there: Sequence[Path], write: Callable[[], None]) -> Question:
-    """Ask whether files that are there already may be written over; `write` does it."""
-    are = "are" if len(there) > 1 else "is"
-    listed = ", ".join(path.name for path in there[:3]) + (f" and {len(there) - 3} more" if len(there) > 3 else "")
-    yes = Answer("Replace", write, "Write over what is there.")
-    return Question(
-        "Replace?", f"{listed} {are} there already.", (yes, Answer("Cancel", nothing, "Leave it as it is."))
-    )
-
-
 class Questions:
     """A queue. Whoever draws the window shows the first one and hands back what was answered."""
 
@@ -55,7 +45,25 @@ class Questions:
         if all((each.title, each.text) != (question.title, question.text) for each in self._waiting):
             self._waiting = (*self._waiting, question)
 
+    def before_replacing(self, paths: Sequence[Path], write: Callable[[], None]) -> None:
+        """Write at once where none of the files is there yet, else when a person says so."""
+        there = [path for path in paths if path.exists()]
+        if there:
+            self.ask(_replace_question(there, write))
+        else:
+            write()
+
     def answer(self, answer: Answer) -> None:
         """Act on the answer to the present question."""
         self._waiting = self._waiting[1:]
         answer.run()
+
+
+def _replace_question(there: Sequence[Path], write: Callable[[], None]) -> Question:
+    """Ask whether files that are there already may be written over; `write` does it."""
+    are = "are" if len(there) > 1 else "is"
+    listed = ", ".join(path.name for path in there[:3]) + (f" and {len(there) - 3} more" if len(there) > 3 else "")
+    yes = Answer("Replace", write, "Write over what is there.")
+    return Question(
+        "Replace?", f"{listed} {are} there already.", (yes, Answer("Cancel", nothing, "Leave it as it is."))
+    )

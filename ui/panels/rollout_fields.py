@@ -79,7 +79,7 @@ def ask_for_rollout(session: Session) -> None:
 
 def ask_where_to_save_rollout(session: Session) -> None:
     """Ask where the one that plays goes."""
-    ask_where_to_save("Save the roll-out", _KINDS, lambda chosen: session.drives.save_as(chosen[0]))
+    ask_where_to_save("Save the roll-out", _KINDS, lambda chosen: session.drives.save_as(session, chosen[0]))
 
 
 def ask_where_to_film(session: Session) -> None:

@@ -16,7 +16,6 @@ from ..desk import Desk
 from ..files.saved_scene import saved_scene
 from ..files.scene_files import SceneFiles
 from ..log import told
-from ..questions import replace_question
 from ..view.chase import Chase, ChaseMode
 from .drive_job import DriveJob, Reading
 from .film_job import DriveFilmJob
@@ -94,11 +93,16 @@ class Drives:
         """Read a roll-out in the background and play it."""
         self._reading.append((path.name, self._files.submit(lambda: [open_rollout(path)])))
 
-    def save_as(self, path: Path) -> None:
-        """Write the one that plays, in the background."""
-        if self.playing is not None:
-            path = path if path.suffix else path.with_suffix(".jsonl")
-            self._writing.append((self.playing, path, self._files.submit(write_rollout, path, self.playing.rollout)))
+    def save_as(self, session: Desk, path: Path) -> None:
+        """Write the one that plays, in the background; what is there already is only replaced when a person says so."""
+        if self.playing is None:
+            return
+        path, playing = path if path.suffix else path.with_suffix(".jsonl"), self.playing
+
+        def write() -> None:
+            self._writing.append((playing, path, self._files.submit(write_rollout, path, playing.rollout)))
+
+        session.questions.before_replacing([path], write)
 
     def why_no_film(self, session: Desk) -> str | None:
         """Why the one that plays can't be filmed now; None where it can."""
@@ -121,10 +125,7 @@ class Drives:
             scene, known = saved_scene(session), self._scene_files.known
             session.start(DriveFilmJob(scene, rollout, path, fps, self._files, known))
 
-        if path.exists():
-            session.questions.ask(replace_question([path], begin))
-        else:
-            begin()
+        session.questions.before_replacing([path], begin)
 
     @property
     def is_working(self) -> bool:

@@ -22,7 +22,6 @@ from ..desk import Desk
 from ..files.saved_scene import saved_scene
 from ..files.scene_files import SceneFiles
 from ..log import told
-from ..questions import replace_question
 from .recording_job import RecordingJob
 
 _LABEL_DRAWINGS = 1 / 3
@@ -113,11 +112,7 @@ class Recorder:
         except ValueError as error:
             self._session.problem = told("It can't be recorded", error)
             return
-        there = [path for path in outputs(recording, names) if path.exists()]
-        if not there:
-            self._start(recording, scene)
-            return
-        self._session.questions.ask(replace_question(there, lambda: self._start(recording, scene)))
+        self._session.questions.before_replacing(outputs(recording, names), lambda: self._start(recording, scene))
 
     def _start(self, recording: Recording, scene: Scene) -> None:
         session, home = self._session, self._scene_files.home

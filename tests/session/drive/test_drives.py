@@ -117,12 +117,19 @@ def test_what_is_no_rollout_is_told_and_nothing_changes(session, tmp_path, damag
 
 
 def test_a_rollout_is_saved_as_it_is(session, tmp_path, file):
-    session.drives.save_as(tmp_path / "copy")
+    session.drives.save_as(session, tmp_path / "copy")
     settled(session)
     assert session.problem is None
     assert session.drives.playing.path == tmp_path / "copy.jsonl"
     assert (tmp_path / "copy.jsonl").read_bytes() == file.read_bytes()
-    session.drives.save_as(file / "copy.jsonl")  # a file is no folder
+    (tmp_path / "copy.jsonl").write_bytes(b"of somebody")
+    session.drives.save_as(session, tmp_path / "copy")
+    settled(session)
+    assert (tmp_path / "copy.jsonl").read_bytes() == b"of somebody"
+    session.questions.answer(session.questions.present.answers[0])
+    settled(session)
+    assert (tmp_path / "copy.jsonl").read_bytes() == file.read_bytes()
+    session.drives.save_as(session, file / "copy.jsonl")  # a file is no folder
     settled(session)
     assert "can't be written" in session.problem
 
