@@ -16,6 +16,8 @@ from gsrain_engine.untrusted.printable import printable
 
 TRANSFER = "transfer.json"
 _VERSION = 1
+_LARGEST = 1e9
+"""Of a transform: metres a unit, and metres to the origin."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,8 +64,9 @@ def read_record(folder: Path) -> TransferRecord:
                 f"{file}: version {values['version']} is newer than {_VERSION}, which this program knows"
             )
         to_world = np.array(values["to_world"], np.float64)
-        if to_world.shape != (4, 4) or not np.isfinite(to_world).all() or np.linalg.det(to_world[:3, :3]) <= 0:
-            raise CaptureError(f"{file}: to_world must be a similarity, 4x4 numbers")
+        is_bounded = to_world.shape == (4, 4) and bool((np.abs(to_world) <= _LARGEST).all())  # so nothing overflows
+        if not is_bounded or np.linalg.det(to_world[:3, :3]) <= 0:
+            raise CaptureError(f"{file}: to_world must be a similarity, 4x4 numbers within {_LARGEST:g}")
         return TransferRecord(str(values["method"]), str(values["made_of"]), dict(values["settings"]), to_world)
     except (OSError, KeyError, TypeError, ValueError, OverflowError) as error:
         if isinstance(error, CaptureError):
