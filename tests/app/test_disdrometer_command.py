@@ -74,7 +74,7 @@ def test_the_seed_is_another_rain_and_the_same_seed_the_same(tmp_path):
         (["--seconds", "0"], "--seconds 0: must be within 0.001..86400 s"),
         (["--record", "nan"], '"nan" for --record. Expected a finite number'),
         (["--record", "0.001"], "at most 10000"),
-        (["--rain", "101"], "intensity_mm_h"),
+        (["--rain", "101"], "--rain"),
         (["--seed", "-1"], "seed"),
         (["--calibration", "none.yaml"], "none.yaml"),
         (["--preset", "drizzle"], "no such file"),

@@ -119,7 +119,7 @@ def test_options_change_our_rain(real, tmp_path):
         (["--exposure", "3"], "--exposure 3: expected seconds within 0.00001..1"),
         (["--window", "1,2,3"], "--window 1,2,3: expected LEFT,TOP,WIDTH,HEIGHT"),
         (["--window", "0,0,300,64"], "window 0,0,300,64: must be 32 px or more within 256x192"),
-        (["--rain", "200"], "intensity_mm_h"),
+        (["--rain", "200"], "--rain"),
     ],
 )
 def test_bad_options_end_in_one_line(real, capsys, options, said):

@@ -11,6 +11,8 @@ pytest.importorskip("onnxruntime")
 from gsrain_engine.evaluate.detection.detector import Detection, Detector, open_detector
 from gsrain_engine.evaluate.detection.matching import matched
 
+INT8 = 0.06
+"""Confidences of whole-number weights differ so much between processors."""
 CARS = [(3, 188, 217, 515), (279, 296, 446, 399), (507, 280, 635, 390), (684, 301, 792, 366)]
 """In the clear frame of img2img-turbo."""
 RAIN_CAR, RAIN_PERSON = (1154, 553, 1544, 841), (855, 542, 927, 729)
@@ -43,12 +45,12 @@ def test_yolo26n_in_clear_weather_and_transferred_to_rain(test_data: Path):
     clear = _seen(detector, folder / "clear2rainy_input.png", "car")
     rainy = _seen(detector, folder / "clear2rainy_output.png", "car")
     labels = _labels("car", *CARS)
-    assert [each.confidence for each in clear[:4]] == pytest.approx([0.89, 0.81, 0.58, 0.48], abs=0.03)
+    assert [each.confidence for each in clear[:4]] == pytest.approx([0.89, 0.81, 0.58, 0.48], abs=INT8)
     assert clear[4].confidence < 0.25
     found = matched(labels, clear)
     assert all(match.iou > 0.9 for match in found)
     in_rain = [match.confidence for match in matched(labels, rainy)]
-    assert in_rain[:3] == pytest.approx([0.86, 0.61, 0.53], abs=0.03)
+    assert in_rain[:3] == pytest.approx([0.86, 0.61, 0.53], abs=INT8)
     assert in_rain[3] < 0.25  # one lost
 
 
@@ -57,7 +59,7 @@ def test_both_find_the_car_and_the_person_in_torrential_rain(test_data: Path):
         detector = _opened(test_data, name)
         cars, people = (_seen(detector, _torrential(test_data), each) for each in ("car", "person"))
         (car,) = matched(_labels("car", RAIN_CAR), cars)
-        assert car.confidence == pytest.approx(confidence, abs=0.03)
+        assert car.confidence == pytest.approx(confidence, abs=INT8)
         assert car.iou > 0.9
         assert sum(each.confidence > 0.5 for each in people) == 2
         (person,) = matched(_labels("person", RAIN_PERSON), people)
