@@ -26,7 +26,6 @@ from ui.tools import TOOLS
 IMAGES = Path(__file__).parent / "images"
 _SIZE = (1440, 900)
 _FOR_PANELS = (1440, 1300)
-"""High enough for the whole of most panels."""
 _QUALITY = 88
 _TOOL_WIDTH = 560
 _SPLIT_WIDTH = 960
@@ -115,22 +114,27 @@ class Photographer:
         picture.save(IMAGES / f"{name}.jpg", quality=_QUALITY, optimize=True)
         print(f"docs/images/{name}.jpg")
 
+    def take_panels(self, *titles: str) -> None:
+        """Picture panels, each as `panel_ITS_TITLE`, in a window that is high enough for the whole of most."""
+        hello_imgui.change_window_size(_FOR_PANELS)
+        self.frames()
+        for title in titles:
+            self.ctx.window_focus(f"//{title}")
+            self.take(panel_picture(title), title, trimmed=True)
+        hello_imgui.change_window_size(_SIZE)
+        self.frames()
+
 
 def picture_panels(camera: Photographer) -> None:
-    """Each panel, in rain."""
+    """Each panel, in rain, with a job that has ended; but those that have something to show only later."""
     session = camera.session
     session.set_rain("8.5 mm/h", msgspec.structs.replace(session.rain, intensity_mm_h=8.5))
     session.view.member = "layers/houses"
     session.lab.measure(session.rain)
-    while session.lab.busy is not None:
+    session.rainy.make(session)
+    while session.lab.busy is not None or session.running_jobs or session.staged is not None:
         camera.frames(1)
-    hello_imgui.change_window_size(_FOR_PANELS)
-    camera.frames()
-    for panel in PANELS:
-        camera.ctx.window_focus(f"//{panel.title}")
-        camera.take(f"panel_{_file_name(panel.title)}", panel.title, trimmed=True)
-    hello_imgui.change_window_size(_SIZE)
-    camera.frames()
+    camera.take_panels(*(panel.title for panel in PANELS if panel.title not in ("Capture", "Drive", "Drive plots")))
 
 
 def picture_tools(camera: Photographer) -> None:
@@ -231,6 +235,7 @@ def picture_capture(camera: Photographer) -> None:
             camera.frames(1)
         camera.frames(20)
         camera.take("capture")
+        camera.take_panels("Capture")
         captures.close_capture()
 
 
@@ -250,8 +255,7 @@ def picture_drive(camera: Photographer) -> None:
     drives.jump(session, _IN_THE_DRIVE_S)
     camera.frames(30)
     camera.take("drive")
-    camera.ctx.scroll_to_bottom("//Drive")
-    camera.take("panel_drive", "Drive")
+    camera.take_panels("Drive", "Drive plots")
     drives.close_all(session)
     session.go_home()
 
@@ -261,6 +265,11 @@ def _filled_px(picture: Image.Image) -> int:
     pixels = np.asarray(picture)[:-_MARGIN].astype(int)
     rows = np.flatnonzero(np.abs(pixels - pixels[-1]).max(axis=(1, 2)) > _NOTICED)
     return min(int(rows.max(initial=0)) + 1 + _MARGIN, picture.height)
+
+
+def panel_picture(title: str) -> str:
+    """The name of a panel's picture."""
+    return f"panel_{_file_name(title)}"
 
 
 def _file_name(title: str) -> str:

@@ -9,6 +9,7 @@ from gsrain_engine.raster.cuda_backend import open_cuda_renderer
 from gsrain_engine.render.context import NoOpenGLError, is_software, open_context
 from gsrain_engine.render.lost_context import check_context
 from gsrain_engine.render.machine import processor
+from gsrain_engine.render.offscreen_renderer import OffscreenRenderer
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.splat_renderer import SplatRenderer
 
@@ -17,7 +18,7 @@ Backend = Literal["auto", "opengl", "cpu", "cuda"]
 
 @contextmanager
 def open_renderer(backend: Backend = "auto") -> Generator[Renderer]:
-    """Open a renderer without a window for as long as the block runs.
+    """Open a renderer without a window for as long as the block runs. Several can be open, and take turns.
 
     auto takes OpenGL where a GPU executes it. A software rasterizer would draw the same picture on the same processor
     several times slower than the `cpu` back end does, which also needs no OpenGL at all. `cuda` sorts rain only roughly
@@ -41,12 +42,16 @@ def open_renderer(backend: Backend = "auto") -> Generator[Renderer]:
             raise
         yield CpuRenderer()
         return
-    with context:
-        try:
-            yield CpuRenderer() if backend == "auto" and is_software(context) else SplatRenderer(context)
-        except Exception:
+    try:
+        with context:
+            renderer = CpuRenderer() if backend == "auto" and is_software(context) else OffscreenRenderer(context)
+        yield renderer
+    except Exception:
+        with context:
             check_context(context)  # whatever goes wrong in a lost context does so because of it
-            raise
+        raise
+    finally:
+        context.release()
 
 
 def device_of(renderer: Renderer) -> str:

@@ -44,6 +44,12 @@ def use_kernel_cache() -> None:
         os.environ["NUMBA_CACHE_DIR"] = str(folder)
 
 
+def has_any_kernel() -> bool:
+    """Whether anything has been compiled into the cache folder yet: before that, a first frame takes about a minute."""
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    return folder is not None and _holds_any(Path(folder))
+
+
 def has_kernels() -> bool:
     """Whether all kernels of a frame have been compiled into the cache folder, so that loading them takes no second."""
     mark = _mark()
@@ -88,10 +94,14 @@ def _mark() -> Path | None:
 def _has_room(folder: Path) -> bool:
     """Whether kernels can be kept there, or are already: compiling them fails where they can't."""
     try:
-        has_room = any(folder.rglob("*.nbi")) or shutil.disk_usage(folder).free > _ROOM_BYTES
+        has_room = _holds_any(folder) or shutil.disk_usage(folder).free > _ROOM_BYTES
         return has_room and os.access(folder, os.W_OK)
     except OSError:
         return False
+
+
+def _holds_any(folder: Path) -> bool:
+    return any(folder.rglob("*.nbi"))
 
 
 def _temporary_root() -> Path | None:

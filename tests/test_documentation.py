@@ -3,6 +3,7 @@
 import importlib.util
 import posixpath
 import re
+from pathlib import Path
 
 import pytest
 import yaml
@@ -11,6 +12,7 @@ from cyclopts import CycloptsError, UnknownCommandError, UnknownOptionError
 from app.command_line import COMMANDS, app, benchmarks, evaluations
 from conftest import REPOSITORY
 from documentation import PAGES, anchors_of, commands_of, links_of, text_of
+from ui.panels.table import PANELS
 
 OF_EXTENSIONS = {("evaluate", "contrast"), ("evaluate", "NAME")}
 """Commands that docs/extending.md adds."""
@@ -48,6 +50,20 @@ def test_every_page_is_in_the_menu_of_the_site(site_pages):
     assert len(listed) == len(set(listed))
     assert set(listed) == in_docs | set(site_pages.ELSEWHERE.values()) | {"commands.md"}
     assert all((REPOSITORY / source).is_file() for source in site_pages.ELSEWHERE)
+
+
+def test_every_picture_is_on_a_page():
+    on_pages = {posixpath.normpath(page.parent / link) for page in PAGES for link in links_of(page)}
+    there = {str(each.relative_to(REPOSITORY)) for each in (REPOSITORY / "docs" / "images").iterdir() if each.is_file()}
+    assert there <= on_pages
+
+
+def test_every_panel_has_its_picture_on_the_page_of_all_panels():
+    page = text_of(Path("docs/guide/panels.md"))
+    for panel in PANELS:
+        picture = panel.title.lower().replace(" ", "_").replace("-", "_")
+        assert f"![{panel.title}](../images/panel_{picture}.jpg)" in page
+        assert f"**{panel.title}**" in page
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,7 @@ def render(
         for name in names:
             scene = timed_scene(name)
             runs = list(_runs(scene, renderers, resolutions, rainfalls))
-            with progress_bar(f"Timing {scene.name}", len(runs)) as advance:
+            with progress_bar(f"Timing {scene.name}", len(runs), draws=True) as advance:
                 for renderer, sequences in runs:
                     rows += time_frames(renderer, sequences, frames)
                     advance()

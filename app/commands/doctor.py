@@ -135,7 +135,8 @@ def _package(name: str, purpose: str, extra: str) -> Finding:
     try:
         return Finding(name, True, f"{metadata.version(name)}, for {purpose}")
     except metadata.PackageNotFoundError:
-        return Finding(name, False, f"not installed; for {purpose}: pip install 'gsrain[{extra}]'")
+        remedy = "needs GSRAIN installed by pip, with" if is_frozen() else "pip install"
+        return Finding(name, False, f"not installed; for {purpose}: {remedy} 'gsrain[{extra}]'")
 
 
 def _cuda() -> Finding:

@@ -135,7 +135,7 @@ def _drive(simulation: Simulation, agent: Agent) -> str | None:
     scenario = simulation.scenario
     title = f"{scenario.rain.intensity_mm_h:g} mm/h, {agent.name}"
     longest, made = round(scenario.duration_s / scenario.step_s), 0
-    with progress_bar(title, longest) as advance:
+    with progress_bar(title, longest, draws=True) as advance:
         try:
             for _ in driving.drive(simulation, agent):
                 made += 1

@@ -7,17 +7,24 @@ from typing import TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from gsrain_engine.kernel_cache import has_any_kernel
 from gsrain_engine.scene.progress import Progress as Step
 from gsrain_engine.scene.progress import finished
 
 _Result = TypeVar("_Result")
+_FIRST_TIME = "The first time on a machine, code for its processor is compiled before the first frame: about a minute."
 
 
 @contextmanager
-def progress_bar(title: str, total: float) -> Generator[Callable[..., None]]:
-    """Show a bar while the block runs; call what it yields with the work done (default 1). A failure takes it away."""
+def progress_bar(title: str, total: float, *, draws: bool = False) -> Generator[Callable[..., None]]:
+    """Show a bar while the block runs; call what it yields with the work done (default 1). A failure takes it away.
+
+    Where the block `draws`, it is said that the first time on a machine begins with compiling.
+    """
     columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
     with Progress(*columns, TextColumn("ETA"), TimeRemainingColumn(), console=Console(stderr=True)) as bar:
+        if draws and bar.console.is_terminal and not has_any_kernel():
+            bar.console.print(_FIRST_TIME)
         task = bar.add_task(title, total=total)
 
         def advance(done: float = 1) -> None:

@@ -112,7 +112,7 @@ def _record(
     started, done = time.perf_counter(), 0
     first = next(iter(sequences.values()))
     state = first.rainfall.state_at(first.time_s(numbers[0]))
-    with progress_bar("Rendering", len(numbers)) as advance:
+    with progress_bar("Rendering", len(numbers), draws=True) as advance:
         try:
             for progress in record(renderer, recording, sequences, numbers, look=look):
                 advance(round(progress.fraction * len(numbers)) - done)

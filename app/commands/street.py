@@ -41,7 +41,7 @@ def street(
     write_scene(scene, directory / "scene")
     print(f"{directory / 'scene'}: {scene.gaussian_count:,} Gaussians, rigs {', '.join(scene.rigs)}")
     if moments:
-        with progress_bar("Photographing", moments * len(scene.rigs[rig])) as advance:
+        with progress_bar("Photographing", moments * len(scene.rigs[rig]), draws=True) as advance:
             for _ in write_views(directory / "images", _photographs(scene, rig, moments, width)):
                 advance()
         print(f"{directory / 'images'}: {moments * len(scene.rigs[rig])} views with depth, normals and labels")

@@ -60,7 +60,7 @@ def _followed(rainy: Iterator[RainyView], count: int, sheet: Path | None) -> dic
     """Make the views, with a bar; return the numbers of `--json`."""
     started, films, pictures = time.perf_counter(), list[float](), BeforeAndAfter(count)
     made = 0
-    with progress_bar("Rainy views", count) as advance:
+    with progress_bar("Rainy views", count, draws=True) as advance:
         for view in rainy:
             made += 1
             if view.film is not None:

@@ -21,15 +21,14 @@ class NoOpenGLError(OSError):
 
 
 def open_context(source: ContextSource = "auto") -> moderngl.Context:
-    """Open an OpenGL 4.3 context without a window.
-
-    Use it as `with context:` for as long as you draw, so that no context stays current behind a window's back.
-    """
+    """Open an OpenGL 4.3 context without a window. It is current within `with context:`, which may be nested."""
     openers = {"egl": _open_egl, "osmesa": _open_osmesa}
     tried: list[str] = []
     for name in openers if source == "auto" else (source,):
         try:
-            return openers[name]()
+            context = openers[name]()
+            context.__exit__(None, None, None)
+            return context
         except Exception as error:  # drivers fail in their own ways: whatever they say goes into the message
             tried.append(f"{name}: {error}")
     packages = "libosmesa6" if source == "osmesa" else "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
@@ -88,7 +87,7 @@ class _OSMesa:
         library.OSMesaGetProcAddress.argtypes = [ctypes.c_char_p]
         library.OSMesaDestroyContext.argtypes = [ctypes.c_void_p]
         attributes = (ctypes.c_int * len(self._ATTRIBUTES))(*self._ATTRIBUTES)
-        self._library = library
+        self._library, self._depth = library, 0
         self._handle = library.OSMesaCreateContextAttribs(attributes, None)
         if not self._handle:
             raise RuntimeError(f"{name} gives no OpenGL 4.3 core context")
@@ -103,10 +102,13 @@ class _OSMesa:
         """Make the context current on this thread."""
         if not self._library.OSMesaMakeCurrent(self._handle, self._screen, 0x1401, 4, 4):  # GL_UNSIGNED_BYTE
             raise RuntimeError("OSMesaMakeCurrent failed")
+        self._depth += 1
 
     def exit(self) -> None:
-        """Leave no context current on this thread."""
-        self._library.OSMesaMakeCurrent(None, None, 0, 0, 0)
+        """Leave no context current on this thread, once for each time that it was entered."""
+        self._depth -= 1
+        if not self._depth:
+            self._library.OSMesaMakeCurrent(None, None, 0, 0, 0)
 
     def __enter__(self) -> None:
         self.enter()

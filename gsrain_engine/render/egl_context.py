@@ -44,7 +44,7 @@ class EglContext:
         self._context = _need(
             create(self._display, config, None, _numbers(_CONTEXT)), "no context that tells of resets"
         )
-        self._before: tuple[int | None, ...] = (self._display, None, None, None)
+        self._before: list[tuple[int | None, ...]] = []
         self.enter()
 
     def load_opengl_function(self, name: str) -> int:
@@ -53,14 +53,14 @@ class EglContext:
 
     def enter(self) -> None:
         """Make the context current on this thread."""
-        if self._current() != self._context:
-            display, surface = self._current_display() or self._display, self._current_surface(_DRAW)
-            self._before = (display, surface, surface, self._current())
+        display, surface = self._current_display() or self._display, self._current_surface(_DRAW)
+        self._before.append((display, surface, surface, self._current()))
         _need(self._make_current(self._display, None, None, self._context), "the context can't be current")
 
     def exit(self) -> None:
-        """Give this thread back the context that it had before."""
-        self._make_current(*self._before)
+        """Give this thread back the context that it had before, none where that is gone."""
+        if not self._make_current(*self._before.pop()):
+            self._make_current(self._display, None, None, None)
 
     def __enter__(self) -> None:
         self.enter()

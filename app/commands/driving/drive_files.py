@@ -112,7 +112,7 @@ def _write_run(files: DriveFiles, run: Run, scene: Scene, renderer: Renderer | N
 
 
 def _film(path: Path, video: DriveVideo, fps: float) -> None:
-    with progress_bar("Filming", video.count(fps)) as advance:
+    with progress_bar("Filming", video.count(fps), draws=True) as advance:
         for _ in film_drive(path, video, fps):
             advance()
 

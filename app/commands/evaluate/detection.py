@@ -100,7 +100,9 @@ def detection(
                 output.mkdir(parents=True, exist_ok=True)
                 memory = opened_memory(output, prepared, detectors, detector, renderer.name, asked.is_wet)
                 open_files.enter_context(memory)
-            advance = open_files.enter_context(progress_bar("Detecting", len(prepared.frames) * len(trials)))
+            advance = open_files.enter_context(
+                progress_bar("Detecting", len(prepared.frames) * len(trials), draws=True)
+            )
             open_files.enter_context(recorder)
             for picture in prepared.judged(detectors, trials, memory):
                 recorder.take(picture)

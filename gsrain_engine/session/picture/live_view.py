@@ -241,7 +241,7 @@ class LiveView:
         draw_shot(
             renderer,
             side.scene,
-            side.rainfall,
+            side.rainfall if side.scene.members else None,  # nothing is there yet for it to fall on
             session.sky,
             shot,
             look=view.look,

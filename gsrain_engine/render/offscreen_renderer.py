@@ -1,0 +1,34 @@
+"""Draws without a window, in an OpenGL context of its own."""
+
+from collections.abc import Sequence
+
+from gsrain_engine.rain.falling_rain import FallingRain
+from gsrain_engine.rain.rain_gaussians import RainGaussians
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.members import Part
+
+from .frame import Frame
+from .look import Look
+from .splat_renderer import SplatRenderer
+
+
+class OffscreenRenderer(SplatRenderer):
+    """A `SplatRenderer` that draws in its context whichever is current, so that several can take turns on a thread."""
+
+    def draw(
+        self,
+        parts: Sequence[Part],
+        camera: Camera,
+        rain: FallingRain | RainGaussians | None = None,
+        *,
+        with_depth: bool = False,
+        look: Look = "splats",
+    ) -> None:
+        """Draw parts and rain as one depth-ordered compositing, as `SplatRenderer.draw`."""
+        with self.context:
+            super().draw(parts, camera, rain, with_depth=with_depth, look=look)
+
+    def read(self) -> Frame:
+        """Fetch the last picture, as `SplatRenderer.read`."""
+        with self.context:
+            return super().read()
