@@ -25,7 +25,7 @@ from ui.tools import TOOLS
 
 IMAGES = Path(__file__).parent / "images"
 _SIZE = (1440, 900)
-_FOR_PANELS = (1440, 1300)
+_FOR_PANELS = (1440, 1500)
 _QUALITY = 88
 _TOOL_WIDTH = 560
 _SPLIT_WIDTH = 960
@@ -201,10 +201,19 @@ def picture_pages(camera: Photographer) -> None:
 
 
 def picture_wet(camera: Photographer) -> None:
-    """The street clear; at 12 mm/h in its wet colours; without them, undone; with them again; both side by side."""
+    """The street clear and with a preview; at 12 mm/h, wet; undone; done again; both beside each other."""
     session = camera.session
     camera.ctx.window_focus("//View")
     camera.take("wet_clear", "View", _TOOL_WIDTH)
+    camera.ctx.window_focus("//Make it rainy")
+    session.rainy.preview(session)
+    while session.rainy.is_previewing or session.view.split == "off":
+        camera.frames(1)
+    camera.ctx.mouse_move("//Make it rainy/###preview")
+    camera.take("make_it_rainy")
+    session.view.split = "off"
+    camera.frames()
+    camera.ctx.mouse_move("//View/view")
     session.set_rain("12 mm/h", msgspec.structs.replace(session.rain, intensity_mm_h=12.0))
     session.rainy.make(session)
     while session.running_jobs or session.staged is not None:
@@ -222,10 +231,10 @@ def picture_wet(camera: Photographer) -> None:
 
 
 def picture_capture(camera: Photographer) -> None:
-    """The street's own photographs beside its Gaussians, from where one of them was taken."""
+    """The street's photographs over its Gaussians, from where one was taken; which of its pixels the next one shows."""
     session, captures = camera.session, camera.session.captures
     with tempfile.TemporaryDirectory() as folder:
-        street(Path(folder), moments=6, width=480)
+        street(Path(folder), moments=13, width=480)
         captures.open(Path(folder) / "images")
         while captures.capture is None or captures.is_working:
             camera.frames(1)
@@ -236,6 +245,15 @@ def picture_capture(camera: Photographer) -> None:
         camera.frames(20)
         camera.take("capture")
         camera.take_panels("Capture")
+        session.matching.is_on = session.matching.lines = True
+        session.matching.mode = "pixels"
+        while session.matching.shown is None or session.matching.is_working:
+            camera.frames(1)
+        camera.ctx.item_open("//Capture/Matching")
+        camera.ctx.mouse_move("//View/view")
+        camera.frames(20)
+        camera.take("matching")
+        session.matching.is_on = False
         captures.close_capture()
 
 
@@ -257,6 +275,7 @@ def picture_drive(camera: Photographer) -> None:
     camera.take("drive")
     camera.take_panels("Drive", "Drive plots")
     drives.close_all(session)
+    session.clock.seek(0.0)
     session.go_home()
 
 

@@ -7,6 +7,10 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+import type_checker
+
+type_checker.check_first_calls()
+
 # Machines are noisy: no example fails for being slow. Where CI is set every run tries the same examples.
 settings.register_profile(
     "gsrain", deadline=None, derandomize=bool(os.environ.get("CI")), suppress_health_check=[HealthCheck.too_slow]
@@ -19,8 +23,14 @@ os.environ["XDG_STATE_HOME"] = os.environ["XDG_CONFIG_HOME"] = _OWN.name
 
 # Two test processes share two cores: torch's threads would only wait for each other. Kernels of ours have their own.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's llvmpipe
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(autouse=True)
+def _checked_anew():
+    type_checker.begin_test()
 
 
 def shared_folder() -> Path:

@@ -133,14 +133,20 @@ def look_at(
     """World-to-camera matrix of an eye that looks at `target` with `up` upwards in the image."""
     forward = np.asarray(target, np.float64) - eye
     forward /= np.linalg.norm(forward)
-    right = np.cross(forward, up)
+    right = _cross(forward, up)
     if np.linalg.norm(right) < 1e-9:  # looking along `up`: any right will do
-        right = np.cross(forward, np.roll(up, 1))
+        right = _cross(forward, np.roll(up, 1))
     right /= np.linalg.norm(right)
     matrix = np.eye(4)
-    matrix[:3, :3] = right, np.cross(forward, right), forward
+    matrix[:3, :3] = right, _cross(forward, right), forward
     matrix[:3, 3] = -matrix[:3, :3] @ eye
     return matrix
+
+
+def _cross(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
+    """Return what `np.cross` does, ten times as fast for two vectors: a window asks often in each frame."""
+    (a_x, a_y, a_z), (b_x, b_y, b_z) = a.tolist(), b.tolist()
+    return np.array((a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x))
 
 
 def read_camera(path: Path | str) -> Camera:

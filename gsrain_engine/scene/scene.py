@@ -2,6 +2,7 @@
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -148,14 +149,18 @@ class Scene:
         return matrix
 
 
+@lru_cache(maxsize=64)
 def rotation_to_z_up(up: tuple[float, float, float]) -> Float64[np.ndarray, "3 3"]:
     """Rotation that takes `up` to +z, the smallest but for the nearly upside-down; exact where `up` is an axis."""
     u = np.asarray(up, np.float64)
     u = u / np.linalg.norm(u)
     if u[2] < -0.999:  # the division below would lose all digits: half a turn about x first
         half_turn = np.diag([1.0, -1.0, -1.0])
-        x, y, z = half_turn @ u
-        return rotation_to_z_up((x, y, z)) @ half_turn
-    v = np.cross(u, [0.0, 0.0, 1.0])
-    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return np.eye(3) + cross + cross @ cross / (1 + u[2])
+        x, y, z = (half_turn @ u).tolist()
+        rotation = rotation_to_z_up((x, y, z)) @ half_turn
+    else:
+        v = np.cross(u, [0.0, 0.0, 1.0])
+        cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+        rotation = np.eye(3) + cross + cross @ cross / (1 + u[2])
+    rotation.flags.writeable = False  # it is handed out again
+    return rotation

@@ -1,10 +1,12 @@
 """The Rain panel: what a person asks for."""
 
+from functools import cache
+
 import msgspec
 from imgui_bundle import ImVec4, icons_fontawesome_6, imgui
 
 from gsrain_engine.rain.presets import load_preset, preset_names
-from gsrain_engine.rain.rain import CALIBRATED_UP_TO_MM_H
+from gsrain_engine.rain.rain import CALIBRATED_UP_TO_MM_H, Rain
 from gsrain_engine.session.session import Session
 
 from ..widgets import fields
@@ -50,12 +52,16 @@ def rain_panel(session: Session) -> None:
         fields.slider(session, "drying_s", high=600.0)
 
 
+@cache
+def _shipped() -> dict[str, Rain]:
+    return {name: load_preset(name) for name in preset_names()}
+
+
 def _presets(session: Session) -> None:
-    names = preset_names()
+    presets = _shipped()
     spacing = imgui.get_style().item_spacing.x
-    width = (imgui.get_content_region_avail().x - spacing * (len(names) - 1)) / len(names)
-    for name in names:
-        preset = load_preset(name)
+    width = (imgui.get_content_region_avail().x - spacing * (len(presets) - 1)) / len(presets)
+    for place, (name, preset) in enumerate(presets.items()):
         active = preset == session.rain_now
         if active:
             imgui.push_style_color(imgui.Col_.button, imgui.get_style_color_vec4(imgui.Col_.button_active))
@@ -65,7 +71,7 @@ def _presets(session: Session) -> None:
             imgui.pop_style_color()
         unit = "no rain" if preset.intensity_mm_h == 0 else f"{preset.intensity_mm_h:g} mm/h"
         imgui.set_item_tooltip(f"{unit}, all as in the paper" if name == "paper" else unit)
-        if name != names[-1]:
+        if place < len(presets) - 1:
             imgui.same_line()
 
 

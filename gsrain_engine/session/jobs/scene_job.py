@@ -99,7 +99,7 @@ class SceneJob:
             if self._loading is not None and self._loading.done():
                 self._stage(self._loading.result(), session, is_finished=True)
                 self.report = self.task.report
-                logger.info("%s: done%s", self.title, "" if self.report is None else f"; report: {self.report}")
+                logger.info("%s: done%s", self.title, "" if self.report is None else f"; report: {_short(self.report)}")
                 self._end("finished")
         except Exception as error:  # whatever a disk or a worker can do: the window lives on
             self.error = sentence_of(error)
@@ -152,3 +152,9 @@ class SceneJob:
             self._preparing.cancel()
         self._folder.remove(self._worker)
         self._worker = None
+
+
+def _short(file: Path) -> str:
+    """The path of a file, with ~ for the user's home."""
+    home = Path.home()
+    return str(Path("~") / file.relative_to(home)) if file.is_relative_to(home) else str(file)

@@ -1,5 +1,6 @@
 """What Gaussians can be told apart by: numbers of each, with their units."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, no_type_check
@@ -38,6 +39,8 @@ class Attribute:
     logarithmic: bool = False
     by_camera: bool = False
     """Whether it changes as the camera moves."""
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+    """What it can't go beyond."""
 
 
 def read_attribute(name: str, read: Read) -> Float32[np.ndarray, " n"]:
@@ -134,7 +137,8 @@ def _channel(channel: int) -> Callable[[Read], np.ndarray]:
 
 
 ATTRIBUTES: Mapping[str, Attribute] = {
-    "opacity": Attribute("", "Largest alpha of a Gaussian, 0..1.", lambda read: read.part.gaussians.opacities),
+    "opacity": Attribute("", "Largest alpha of a Gaussian, 0..1.", lambda read: read.part.gaussians.opacities,
+                         bounds=(0.0, 1.0)),
     "size": Attribute("m", "Standard deviation along a Gaussian's longest axis.", _size, logarithmic=True),
     "elongation": Attribute("", "Longest axis over the second longest; needles are far to the right.", _elongation,
                             logarithmic=True),
@@ -145,8 +149,8 @@ ATTRIBUTES: Mapping[str, Attribute] = {
     "red": Attribute("", "Of the base colour as it is displayed, 0..1.", _channel(0)),
     "green": Attribute("", "Of the base colour as it is displayed, 0..1.", _channel(1)),
     "blue": Attribute("", "Of the base colour as it is displayed, 0..1.", _channel(2)),
-    "hue": Attribute("°", "0 red, 120 green, 240 blue.", _hue),
-    "saturation": Attribute("", "0 grey, 1 a pure colour.", _saturation),
+    "hue": Attribute("°", "0 red, 120 green, 240 blue.", _hue, bounds=(0.0, 360.0)),
+    "saturation": Attribute("", "0 grey, 1 a pure colour.", _saturation, bounds=(0.0, 1.0)),
     "value": Attribute("", "The largest of red, green and blue, 0..1.", _value),
     "layer": Attribute("", "Number of the layer or actor, in the order of the scene, from 1.",
                        lambda read: np.full(len(read.part.gaussians), read.number, np.float32)),

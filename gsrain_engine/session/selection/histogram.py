@@ -10,7 +10,7 @@ from gsrain_engine.render.scene_view import Shot
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.scene import Scene
 
-from .attributes import ATTRIBUTES, Read, read_attribute, readings
+from .attributes import ATTRIBUTES, Attribute, Read, read_attribute, readings
 from .candidates import shown
 from .combine import selected
 
@@ -64,7 +64,7 @@ class AttributeHistogram:
         self._values = {key: self._read(key, name, read, shot) for key, read in reads.items()}
         values = {key: values for key, (_, values) in self._values.items()}
         masks = {key: shown(scene.member(key)) for key in values}
-        low, high = _range(values, masks, ATTRIBUTES[name].logarithmic, step=name == "layer")
+        low, high = _range(values, masks, ATTRIBUTES[name], step=name == "layer")
         both = np.zeros((2, BINS), np.int64)
         for key, own in values.items():
             places = np.clip((own - np.float32(low)) * np.float32(BINS / (high - low)), 0, BINS - 1).astype(np.int16)
@@ -93,18 +93,19 @@ def _view(shot: Shot, name: str) -> tuple[bytes, ...]:
 
 
 def _range(
-    values: dict[str, Float32[np.ndarray, " n"]], masks: dict[str, Mask], logarithmic: bool, *, step: bool
+    values: dict[str, Float32[np.ndarray, " n"]], masks: dict[str, Mask], attribute: Attribute, *, step: bool
 ) -> tuple[float, float]:
     sample = [_sampled(own[masks[key].flags]) for key, own in values.items() if masks[key]]
     every = np.concatenate([np.zeros(0, np.float32), *sample])
     every = every[np.isfinite(every)]
     if not len(every):
-        return (-1.0, 0.0) if logarithmic else (0.0, 1.0)
+        return (-1.0, 0.0) if attribute.logarithmic else (0.0, 1.0)
     low, high = (float(each) for each in np.quantile(every, (0.001, 0.999)))
     if step:
         return low - 0.5, high + 0.5
     margin = max(0.02 * (high - low), 1e-3 * max(abs(low), abs(high)), 1e-6)
-    return low - margin, high + margin
+    least, most = attribute.bounds
+    return max(low - margin, least), min(high + margin, most)
 
 
 def _sampled(values: Float32[np.ndarray, " m"]) -> Float32[np.ndarray, " k"]:

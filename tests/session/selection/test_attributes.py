@@ -81,6 +81,12 @@ def test_histogram_counts_what_is_shown_and_what_is_selected(name):
     assert everything[KEY].size == 300
 
 
+@pytest.mark.parametrize("name", ["opacity", "saturation"])
+def test_histogram_ends_where_an_attribute_can_not_go_on(name):
+    edges = AttributeHistogram().of(cloud(), shot_at(), name).edges
+    assert 0 <= edges[0] < edges[-1] <= 1
+
+
 def test_histogram_is_made_again_only_when_something_changes():
     scene, shot, histogram = cloud(), shot_at(), AttributeHistogram()
     first = histogram.of(scene, shot, "opacity")
