@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
-from type_checker import CHECKED_CALLS
 
 from gsrain_engine.scene.camera import look_at
+from type_checker import CHECKED_CALLS
 
 EYE, TARGET, UP = np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
