@@ -16,15 +16,18 @@ demo: setup
 		echo "The video is at $(CURDIR)/$(OUT)/demo.mp4 (no display here; with one, make demo opens the window)"; \
 	fi
 
+# Tests start a hundred processes: what Python has compiled is kept for them, whatever the machine's setting.
+TESTS = -m pytest --numprocesses=2 --dist=loadfile --no-loadscope-reorder --max-worker-restart=0
+test coverage: export PYTHONDONTWRITEBYTECODE =
 test: setup $(VENV)/.installed-jobs lint
-	$(RUN)/python -m pytest --numprocesses=2 --dist=loadfile --max-worker-restart=0
+	$(RUN)/python $(TESTS)
 
 # Which lines of the engine the tests run; under 90 of 100 fails. out/coverage/index.html shows them.
 COVERAGE = $(abspath $(OUT))/coverage
 coverage: export COVERAGE_FILE = $(COVERAGE)/data
 coverage: setup $(VENV)/.installed-jobs
 	rm -rf $(COVERAGE)
-	$(RUN)/python -m coverage run -m pytest --numprocesses=2 --dist=loadfile --max-worker-restart=0
+	$(RUN)/python -m coverage run $(TESTS)
 	$(RUN)/python -m coverage combine --quiet
 	$(RUN)/python -m coverage html --quiet --directory $(COVERAGE)
 	$(RUN)/python -m coverage report

@@ -28,6 +28,11 @@ os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's llvmpipe
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
+def pytest_collection_modifyitems(items):
+    """Begin with the windows, which take longest: two processes then end at about the same time."""
+    items.sort(key=lambda item: not item.nodeid.startswith("tests/ui/"))
+
+
 @pytest.fixture(autouse=True)
 def _checked_anew():
     type_checker.begin_test()

@@ -1,5 +1,6 @@
 """What checks arguments and array shapes while tests run: beartype, with an int accepted for a float as in PEP 484."""
 
+import dataclasses
 import functools
 from types import FunctionType, SimpleNamespace
 
@@ -24,27 +25,29 @@ def check_first_calls():
     jaxtyping.jaxtyped = lambda *, typechecker: functools.partial(_checked_at_first, typechecker)
 
 
-def _checked_at_first(typechecker, function_or_class):
-    unchecked = function_or_class
-    if not isinstance(unchecked, type):
-        checked = _jaxtyped(unchecked, typechecker=typechecker)
-        return _at_first(checked, unchecked) if isinstance(unchecked, FunctionType) else checked
-    make = unchecked.__init__
-    checked = _jaxtyped(unchecked, typechecker=typechecker)
-    if checked.__init__ is not make:  # a dataclass
-        checked.__init__ = _at_first(checked.__init__, make)
-    return checked
+def _checked_at_first(typechecker, decorated):
+    if isinstance(decorated, FunctionType):
+        return _at_first(typechecker, decorated)
+    if not isinstance(decorated, type):
+        return _jaxtyped(decorated, typechecker=typechecker)
+    if dataclasses.is_dataclass(decorated) and "__init__" in vars(decorated):
+        decorated.__init__ = _at_first(typechecker, decorated.__init__)
+    return decorated
 
 
-def _at_first(checked, unchecked):
-    test, calls = 0, 0
+def _at_first(typechecker, function):
+    checked, test, calls = None, 0, 0
 
-    @functools.wraps(checked)
+    @functools.wraps(function)
     def called(*args, **kwargs):
-        nonlocal test, calls
+        nonlocal checked, test, calls
         if test != _present.test:
             test, calls = _present.test, 0
         calls += 1
-        return (checked if calls <= CHECKED_CALLS else unchecked)(*args, **kwargs)
+        if calls > CHECKED_CALLS:
+            return function(*args, **kwargs)
+        if checked is None:  # making it takes longer than most of what it checks
+            checked = _jaxtyped(function, typechecker=typechecker)
+        return checked(*args, **kwargs)
 
     return called

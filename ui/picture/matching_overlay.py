@@ -126,13 +126,13 @@ def _inset(session: Session, viewport: Viewport, shown: Shown, under: tuple[int,
 
 
 def _card(viewport: Viewport, title: str, shares: list[tuple[Outcome, float]]) -> None:
-    """The legend, in the lower left corner."""
+    """The legend, in the lower right corner: tools are on the left."""
     draw, em = imgui.get_window_draw_list(), imgui.get_font_size()
     line = imgui.get_text_line_height() * 1.2
     rows = [f"{WORDS[each]}  {share:.0%}" for each, share in shares]
     width = max([imgui.calc_text_size(title).x, *(imgui.calc_text_size(row).x + 1.4 * em for row in rows)]) + 1.2 * em
     height = (1 + len(rows)) * line + 0.8 * em
-    low = viewport.on_screen(_MARGIN, viewport.height - height - _MARGIN)
+    low = viewport.on_screen(viewport.width - width - _MARGIN, viewport.height - height - _MARGIN)
     draw.add_rect_filled(low, ImVec2(low.x + width, low.y + height), color(_PAPER), 5.0)
     x, y = low.x + 0.6 * em, low.y + 0.4 * em
     draw.add_text(ImVec2(x, y), color(_INK), title)
