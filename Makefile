@@ -6,7 +6,7 @@ VENV ?= .venv
 RUN = $(VENV)/bin
 OUT ?= out
 
-.PHONY: demo docs diagrams pictures test coverage fuzz lint wheel sbom licences bundle setup system clean
+.PHONY: demo docs diagrams pictures test kernels coverage fuzz lint wheel sbom licences bundle setup system clean
 
 demo: setup
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
@@ -19,8 +19,13 @@ demo: setup
 # Tests start a hundred processes: what Python has compiled is kept for them, whatever the machine's setting.
 TESTS = -m pytest --numprocesses=2 --dist=loadfile --no-loadscope-reorder --max-worker-restart=0
 test coverage: export PYTHONDONTWRITEBYTECODE =
-test: setup $(VENV)/.installed-jobs lint
+test: setup $(VENV)/.installed-jobs
+	$(MAKE) --jobs=2 --output-sync=target lint kernels
 	$(RUN)/python $(TESTS)
+
+# Kernels are compiled once, instead of by several tests at a time.
+kernels: setup
+	$(RUN)/python -c "from gsrain_engine.session.picture.cpu_picture import compile_kernels; compile_kernels()"
 
 # Which lines of the engine the tests run; under 90 of 100 fails. out/coverage/index.html shows them.
 COVERAGE = $(abspath $(OUT))/coverage
