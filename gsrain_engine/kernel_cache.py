@@ -45,7 +45,7 @@ def use_kernel_cache() -> None:
 
 
 def has_any_kernel() -> bool:
-    """Whether anything has been compiled into the cache folder yet: before that, a first frame takes about a minute."""
+    """Whether the cache folder holds anything yet: before that, a first frame takes a minute or two."""
     folder = os.environ.get("NUMBA_CACHE_DIR")
     return folder is not None and _holds_any(Path(folder))
 

@@ -12,7 +12,7 @@ from gsrain_engine.scene.progress import Progress as Step
 from gsrain_engine.scene.progress import finished
 
 _Result = TypeVar("_Result")
-_FIRST_TIME = "The first time on a machine, code for its processor is compiled before the first frame: about a minute."
+_FIRST_TIME = "The first time on a machine, code for its processor is compiled before the first frame: a minute or two."
 
 
 @contextmanager
