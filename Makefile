@@ -19,11 +19,11 @@ demo: setup
 # Tests start a hundred processes: what Python has compiled is kept for them, whatever the machine's setting.
 TESTS = -m pytest --numprocesses=2 --dist=loadfile --no-loadscope-reorder --max-worker-restart=0
 test coverage: export PYTHONDONTWRITEBYTECODE =
-test: setup $(VENV)/.installed-jobs
+test: setup
 	$(MAKE) --jobs=2 --output-sync=target lint kernels
 	$(RUN)/python $(TESTS)
 
-# Kernels are compiled once, instead of by several tests at a time.
+# Kernels are compiled once, instead of by several tests at a time, and while torch is installed.
 kernels: setup
 	$(RUN)/python -c "from gsrain_engine.session.picture.cpu_picture import compile_kernels; compile_kernels()"
 
@@ -37,7 +37,7 @@ coverage: setup $(VENV)/.installed-jobs
 	$(RUN)/python -m coverage html --quiet --directory $(COVERAGE)
 	$(RUN)/python -m coverage report
 
-lint: setup
+lint: setup $(VENV)/.installed-jobs
 	$(RUN)/ruff check .
 	$(RUN)/ruff format --check .
 	$(RUN)/lint-imports

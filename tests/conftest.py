@@ -1,6 +1,7 @@
 """Fixtures that many tests share."""
 
 import os
+import sys
 import tempfile
 from pathlib import Path
 
@@ -34,8 +35,10 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.fixture(autouse=True)
-def _checked_anew():
+def _begun_anew():
     type_checker.begin_test()
+    if torch := sys.modules.get("torch"):
+        torch.set_num_threads(1)  # after a kernel of ours it is theirs, where both use the same OpenMP
 
 
 def shared_folder() -> Path:

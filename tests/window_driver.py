@@ -21,6 +21,8 @@ hello_imgui = pytest.importorskip("imgui_bundle").hello_imgui
 
 from app.window import Window  # noqa: E402
 
+LARGE = (1100, 720)  # px: where panels need the room
+
 
 class Driver:
     """A window, and what a hand on mouse and keyboard can do."""
@@ -31,11 +33,12 @@ class Driver:
         self.window = Window(lambda: self.session, backend)
         self.folder = tmp_path
         self.ctx = None
+        self.size = (880, 580)  # the processor paints every pixel
 
     def run(self, script):
         parameters = self.window.parameters()
         parameters.ini_disable = True
-        parameters.app_window_params.window_geometry.size = (1100, 720)
+        parameters.app_window_params.window_geometry.size = self.size
 
         def act(ctx):
             self.ctx = ctx
@@ -43,7 +46,10 @@ class Driver:
             engine.config_watchdog_kill_test = engine.config_watchdog_warning = 600.0  # s; the machine may be busy
             self.until(lambda: self.window.workspace is not None and self.view.is_settled, 100_000)
             self.frames(3)
-            script()
+            try:
+                script()
+            finally:
+                parameters.fps_idling.enable_idling = False  # a window at rest would close seconds later
 
         try:
             testing.run(test_function=act, runner_params=parameters)

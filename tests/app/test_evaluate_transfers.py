@@ -51,17 +51,7 @@ def transfers(tmp_path, told, *options):
     return run(["evaluate", "transfers", str(file), "-o", str(tmp_path / "out"), *map(str, options)])
 
 
-@pytest.fixture
-def one_thread():
-    """Threads that wait for each other take longer over tiny models than the models themselves."""
-    torch = pytest.importorskip("torch")
-    usual = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(usual)
-
-
-def test_ablations_of_a_tiny_model_become_table_and_figure(tmp_path, capsys, one_thread):
+def test_ablations_of_a_tiny_model_become_table_and_figure(tmp_path, capsys):
     pytest.importorskip("diffusers")
     from gsrain_engine.appearance.cyclegan_turbo.architecture import tiny
     from gsrain_engine.appearance.cyclegan_turbo.lora import LoraRanks

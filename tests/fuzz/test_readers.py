@@ -1,4 +1,4 @@
-"""Damaged files, some hundred a reader: each is read as something valid, or refused in one sentence that names it."""
+"""Damaged files, some dozens a reader: each is read as something valid, or refused in one sentence that names it."""
 
 from collections.abc import Iterator
 from pathlib import Path

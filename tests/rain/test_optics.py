@@ -194,7 +194,7 @@ class HazeFields:
 @pytest.fixture(scope="module")
 def transmittance(renderer):
     """Of a piece of 6 m, which the ramp before the camera belongs to, and of 20, 40 and 60 m more."""
-    return HazeFields(renderer).mean_transmittance([6.0, 26.0, 46.0, 66.0], 400).mean(axis=(1, 2))
+    return HazeFields(renderer).mean_transmittance([6.0, 26.0, 46.0, 66.0], 150).mean(axis=(1, 2))
 
 
 @pytest.mark.parametrize(("number", "length_m"), [(1, 20.0), (2, 40.0), (3, 60.0)])

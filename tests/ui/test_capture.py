@@ -8,7 +8,7 @@ from gsrain_engine.session.capture import capture_view
 from gsrain_engine.session.capture.shown_points import shown_points
 from gsrain_engine.session.capture.view_pictures import LARGE_PX, THUMBNAIL_PX, Wish
 from session.capture.small_capture import COLORS, small_capture, written_capture
-from window_driver import Driver, imgui
+from window_driver import LARGE, Driver, imgui
 
 
 def _grabbed(driver) -> np.ndarray:
@@ -41,6 +41,7 @@ def _idle(driver) -> None:
 def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
     folder = written_capture(tmp_path / "drive")
     driver = Driver(tmp_path / "shots", backend="opengl")
+    driver.size = LARGE
     (tmp_path / "shots").mkdir()
     captures = driver.session.captures
 
