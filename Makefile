@@ -6,7 +6,7 @@ VENV ?= .venv
 RUN = $(VENV)/bin
 OUT ?= out
 
-.PHONY: demo docs diagrams pictures test kernels coverage fuzz lint wheel sbom licences bundle setup system clean
+.PHONY: demo docs diagrams pictures test kernels modules coverage fuzz lint wheel sbom licences bundle setup system clean
 
 demo: setup
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
@@ -20,12 +20,16 @@ demo: setup
 TESTS = -m pytest --numprocesses=2 --dist=loadfile --no-loadscope-reorder --max-worker-restart=0
 test coverage: export PYTHONDONTWRITEBYTECODE =
 test: setup
-	$(MAKE) --jobs=2 --output-sync=target lint kernels
+	$(MAKE) --jobs=2 --output-sync=target lint kernels modules
 	$(RUN)/python $(TESTS)
 
 # Kernels are compiled once, instead of by several tests at a time, and while torch is installed.
 kernels: setup
 	$(RUN)/python -c "from gsrain_engine.session.picture.cpu_picture import compile_kernels; compile_kernels()"
+
+# So are modules, with the types that tests check; what is wrong with one, its tests tell.
+modules: $(VENV)/.installed-jobs
+	-$(RUN)/python -m pytest --collect-only --quiet > /dev/null
 
 # Which lines of the engine the tests run; under 90 of 100 fails. out/coverage/index.html shows them.
 COVERAGE = $(abspath $(OUT))/coverage
