@@ -3,8 +3,8 @@
 import os
 
 _SPINS = "20000"
-"""A tenth of a millisecond. GCC's OpenMP takes 300,000 spins, which another process on the same cores lacks then;
-fewer than 5,000 make torch wake its threads anew for every small product of matrices."""
+"""GCC's OpenMP waits 300,000 spins before it sleeps, time that another process on the same cores lacks. With 5,000 and
+fewer torch's threads are woken anew for every small product of matrices (docs/performance.md)."""
 
 
 def wait_briefly() -> None:
