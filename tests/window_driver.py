@@ -7,7 +7,7 @@ from multiprocessing.connection import wait
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageGrab
 
 from gsrain_engine.session.session import Session
 from small_scene import small_scene
@@ -21,8 +21,6 @@ hello_imgui = pytest.importorskip("imgui_bundle").hello_imgui
 
 from app.window import Window  # noqa: E402
 
-LARGE = (1100, 720)  # px: where panels need the room
-
 
 class Driver:
     """A window, and what a hand on mouse and keyboard can do."""
@@ -33,12 +31,13 @@ class Driver:
         self.window = Window(lambda: self.session, backend)
         self.folder = tmp_path
         self.ctx = None
-        self.size = (880, 580)  # the processor paints every pixel
+        self._is_seen = False
 
     def run(self, script):
         parameters = self.window.parameters()
         parameters.ini_disable = True
-        parameters.app_window_params.window_geometry.size = self.size
+        parameters.app_window_params.window_geometry.size = (1100, 720)  # px
+        parameters.callbacks.before_imgui_render = self._paint_less
 
         def act(ctx):
             self.ctx = ctx
@@ -92,6 +91,19 @@ class Driver:
     def press(self, chord):
         self.ctx.key_press(chord)
         self.frames()
+
+    def screen(self):
+        """The screen, as a person sees it: RGB values from 0 to 255."""
+        self._is_seen = True
+        self.frames(3)
+        self._is_seen = False
+        return np.asarray(ImageGrab.grab(xdisplay=None).convert("RGB")).astype(int)
+
+    def _paint_less(self):
+        """Shrink what is painted, while nobody looks: the processor paints it, which takes most of a frame's time."""
+        if not self._is_seen:
+            scale = imgui.ImVec2(1 / 16, 1 / 16)
+            imgui.get_io().display_framebuffer_scale = imgui.get_main_viewport().framebuffer_scale = scale
 
     def picture(self):
         """What the viewport shows, by way of the screenshot a person would take."""

@@ -2,19 +2,12 @@
 
 import numpy as np
 from imgui_bundle import ImVec2
-from PIL import ImageGrab
 
 from gsrain_engine.session.capture import capture_view
 from gsrain_engine.session.capture.shown_points import shown_points
 from gsrain_engine.session.capture.view_pictures import LARGE_PX, THUMBNAIL_PX, Wish
 from session.capture.small_capture import COLORS, small_capture, written_capture
-from window_driver import LARGE, Driver, imgui
-
-
-def _grabbed(driver) -> np.ndarray:
-    """The screen, as a person sees it."""
-    driver.frames(3)
-    return np.asarray(ImageGrab.grab(xdisplay=None).convert("RGB")).astype(int)
+from window_driver import Driver, imgui
 
 
 def _share(pixels: np.ndarray, color: tuple[int, int, int]) -> float:
@@ -41,7 +34,6 @@ def _idle(driver) -> None:
 def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
     folder = written_capture(tmp_path / "drive")
     driver = Driver(tmp_path / "shots", backend="opengl")
-    driver.size = LARGE
     (tmp_path / "shots").mkdir()
     captures = driver.session.captures
 
@@ -63,20 +55,20 @@ def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
         assert captures.stands_at(driver.session) == 1
         _idle(driver)
         assert Wish(1, LARGE_PX) in captures.textures
-        assert _share(_grabbed(driver), COLORS[1]) > 0.05
+        assert _share(driver.screen(), COLORS[1]) > 0.05
 
         # Keys go from view to view; the slider and the switch lay the picture over the render.
         driver.ctx.mouse_move("//View/view")
         driver.press(imgui.Key.page_down)
         assert captures.stands_at(driver.session) == 2
         _idle(driver)
-        assert _share(_grabbed(driver), COLORS[2]) > 0.05
+        assert _share(driver.screen(), COLORS[2]) > 0.05
         driver.press(imgui.Key.page_up)
         assert captures.stands_at(driver.session) == 1
         driver.ctx.set_ref("//Capture")
         driver.ctx.item_click("Picture")
         assert not captures.show_picture
-        assert _share(_grabbed(driver), COLORS[1]) < 0.02
+        assert _share(driver.screen(), COLORS[1]) < 0.02
 
         # Only the views of one camera are left when it is chosen.
         driver.ctx.combo_click("Camera/right")
@@ -152,12 +144,12 @@ def test_measured_points_are_drawn_over_the_picture(tmp_path, monkeypatch):
         captures.show_frustums = False
         session.navigation.position = np.array([0.0, 0.0, 1.5])
         session.navigation.heading = session.navigation.pitch = 0.0
-        with_points = _share(_grabbed(driver), (255, 0, 255))
+        with_points = _share(driver.screen(), (255, 0, 255))
         driver.ctx.window_focus("//Capture")
         driver.frames()
         driver.ctx.set_ref("//Capture")
         driver.ctx.item_click("Points")
-        assert _share(_grabbed(driver), (255, 0, 255)) == 0
+        assert _share(driver.screen(), (255, 0, 255)) == 0
         assert with_points > 5e-4
 
     driver.run(script)

@@ -11,7 +11,7 @@ from gsrain_engine.scene.track import Track
 from small_scene import patch, small_scene
 from ui.shortcuts import chord
 from ui.tools import TOOLS
-from window_driver import LARGE, Driver, imgui
+from window_driver import Driver, imgui
 
 
 @pytest.fixture
@@ -252,8 +252,6 @@ def test_a_face_of_the_crop_box_is_dragged_and_applied(driver):
 
 
 def test_grading_by_slider_and_back(driver):
-    driver.size = LARGE
-
     def script():
         session = driver.session
         session.view.member = "layers/wall"

@@ -2,18 +2,12 @@
 
 import numpy as np
 from imgui_bundle import ImVec2
-from PIL import ImageGrab
 
 from gsrain_engine.appearance.matching.correspondence import Outcome
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.session.matching.matching_colors import COLORS
 from session.matching.test_matching_view import deep_capture
 from window_driver import Driver, imgui
-
-
-def _grabbed(driver) -> np.ndarray:
-    driver.frames(4)
-    return np.asarray(ImageGrab.grab(xdisplay=None).convert("RGB")).astype(int)
 
 
 def test_matches_are_shown_over_the_recorded_view(tmp_path):
@@ -35,7 +29,7 @@ def test_matches_are_shown_over_the_recorded_view(tmp_path):
         driver.ctx.set_ref("//Capture")
         driver.ctx.item_open("Matching")
         driver.frames()
-        before = _grabbed(driver)
+        before = driver.screen()
         driver.ctx.item_click("Matching/Show matches")
         driver.until(lambda: matching.shown is not None)
         assert matching.problem is None
@@ -47,7 +41,7 @@ def test_matches_are_shown_over_the_recorded_view(tmp_path):
         driver.ctx.set_ref("//Capture/Matching")
         driver.ctx.combo_click("As/which match")
         driver.ctx.set_ref("//Capture")
-        shown = _grabbed(driver)
+        shown = driver.screen()
         assert matching.mode == "pixels"
         corner = driver.ctx.item_info("//View/view").rect_full
         middle = int((corner.min.y + corner.max.y) / 2), int((corner.min.x + corner.max.x) / 2)
@@ -61,7 +55,7 @@ def test_matches_are_shown_over_the_recorded_view(tmp_path):
         driver.frames()
         driver.ctx.item_check("Matching/Lines")
         assert matching.lines
-        with_lines = _grabbed(driver)
+        with_lines = driver.screen()
         lower = np.s_[middle[0] : int(corner.max.y) - 10, middle[1] - 100 : int(corner.max.x) - 10]
         assert np.mean(np.abs(with_lines[lower] - shown[lower]).max(axis=2) > 40) > 0.001
         np.testing.assert_array_equal(session.navigation.position, place)

@@ -9,7 +9,7 @@ from gsrain_engine.session.selection.combine import selected, selected_count
 from small_scene import small_scene
 from ui.shortcuts import chord
 from ui.tools import TOOLS
-from window_driver import LARGE, Driver, imgui
+from window_driver import Driver, imgui
 
 KEY = imgui.Key
 
@@ -69,8 +69,6 @@ LOWER = ((0.2, 0.62), (0.9, 0.62), (0.9, 0.95), (0.2, 0.95))
 
 
 def test_rectangle_and_its_modes_and_undo(hand):
-    hand.size = LARGE
-
     def script():
         session = hand.session
         hand.use("Rectangle")
@@ -235,7 +233,6 @@ def test_flood_and_colour_pick_take_what_is_clicked_on_and_a_drag_orbits(hand):
 
 def test_locked_layers_are_passed_by(tmp_path):
     hand = Hand(tmp_path, small_scene().with_member("layers/road", locked=True))
-    hand.size = LARGE
 
     def script():
         hand.use("Rectangle")
@@ -304,8 +301,6 @@ def test_a_range_dragged_over_the_histogram_selects(hand):
 
 
 def test_sets_are_saved_recalled_renamed_and_deleted(hand):
-    hand.size = LARGE
-
     def script():
         session = hand.session
         hand.press(chord(KEY.mod_ctrl, KEY.a))

@@ -7,7 +7,7 @@ from gsrain_engine.scene.paths.files import read_camera_path
 from gsrain_engine.session.camera_path import edits, files
 from gsrain_engine.session.camera_path.path_drawing import path_drawing
 from ui.shortcuts import chord
-from window_driver import LARGE, Driver, imgui
+from window_driver import Driver, imgui
 
 KEY = imgui.Key
 UNDO = chord(KEY.mod_ctrl, KEY.z)
@@ -168,8 +168,6 @@ def test_a_key_is_dragged_in_the_picture(driver):
 
 
 def test_numbers_of_a_key_and_of_the_path(driver):
-    driver.size = LARGE
-
     def script():
         session = driver.session
         four_keys(driver)
