@@ -6,7 +6,7 @@ VENV ?= .venv
 RUN = $(VENV)/bin
 OUT ?= out
 
-.PHONY: demo docs diagrams pictures test kernels modules coverage fuzz lint wheel sbom licences bundle setup system clean
+.PHONY: demo docs diagrams pictures test tests kernels modules coverage fuzz lint wheel sbom licences bundle setup system clean
 
 demo: setup
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
@@ -16,11 +16,15 @@ demo: setup
 		echo "The video is at $(CURDIR)/$(OUT)/demo.mp4 (no display here; with one, make demo opens the window)"; \
 	fi
 
-# Tests start a hundred processes: what Python has compiled is kept for them, whatever the machine's setting.
-TESTS = -m pytest --numprocesses=2 --dist=loadfile --no-loadscope-reorder --max-worker-restart=0
-test coverage: export PYTHONDONTWRITEBYTECODE =
+# Installing takes half as long when modules are compiled as they are first loaded, and kept, whatever the machine's setting.
+INSTALL = $(RUN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
+export PYTHONDONTWRITEBYTECODE =
+
 test: setup
-	$(MAKE) --jobs=2 --output-sync=target lint kernels modules
+	$(MAKE) --jobs=2 lint tests
+
+TESTS = -m pytest --numprocesses=2 --dist=loadfile --no-loadscope-reorder --max-worker-restart=0
+tests: kernels modules
 	$(RUN)/python $(TESTS)
 
 # Kernels are compiled once, instead of by several tests at a time, and while torch is installed.
@@ -100,18 +104,18 @@ setup: system $(VENV)/.installed
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "GSRAIN needs Python 3.11 or newer: make PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
-	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	$(INSTALL) --upgrade pip
+	$(INSTALL) -e ".[dev]"
 	@touch $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed
-	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev,docs]"
+	$(INSTALL) -e ".[dev,docs]"
 	@touch $@
 
 # Training needs torch; its own index has a build for processors that is ten times smaller than the registry's.
 $(VENV)/.installed-jobs: $(VENV)/.installed
-	$(RUN)/pip install --quiet --disable-pip-version-check --retries 0 --timeout 10 \
-		--extra-index-url https://download.pytorch.org/whl/cpu -c constraints.txt torch
-	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev,diffusion,drive,evaluate,oracles,waymo]"
+	$(INSTALL) --retries 0 --timeout 10 --extra-index-url https://download.pytorch.org/whl/cpu torch
+	$(INSTALL) -e ".[dev,diffusion,drive,evaluate,oracles,waymo]"
 	@touch $@
 
 system:

@@ -1,7 +1,5 @@
 """What the rain panels measure, without a window."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -23,8 +21,8 @@ def lab():
 
 
 def wait(lab: RainLab) -> None:
-    until = time.monotonic() + 120
-    while lab.busy is not None and time.monotonic() < until:
+    while lab._task is not None:
+        lab._task.result.exception(timeout=120)
         lab.poll()
 
 
