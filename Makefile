@@ -104,7 +104,6 @@ setup: system $(VENV)/.installed
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "GSRAIN needs Python 3.11 or newer: make PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
-	$(INSTALL) --upgrade pip
 	$(INSTALL) -e ".[dev]"
 	@touch $@
 
