@@ -16,7 +16,7 @@ demo: setup
 		echo "The video is at $(CURDIR)/$(OUT)/demo.mp4 (no display here; with one, make demo opens the window)"; \
 	fi
 
-# Installing takes half as long when modules are compiled as they are first loaded, and kept, whatever the machine's setting.
+# Modules are compiled as they are first loaded, and kept, whatever the machine's setting: installing takes two thirds of the time.
 INSTALL = $(RUN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 export PYTHONDONTWRITEBYTECODE =
 
