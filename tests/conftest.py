@@ -30,8 +30,8 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 
 
 def pytest_collection_modifyitems(items):
-    """Begin with the windows, which take longest: two processes then end at about the same time."""
-    items.sort(key=lambda item: not item.nodeid.startswith("tests/ui/"))
+    """Begin with the files that take longest, windows and examples: two processes then end at about the same time."""
+    items.sort(key=lambda item: not item.nodeid.startswith(("tests/ui/", "tests/test_")))
 
 
 @pytest.fixture(autouse=True)
