@@ -1,5 +1,6 @@
 """Fixtures that many tests share."""
 
+import gc
 import os
 import sys
 import tempfile
@@ -32,6 +33,12 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 def pytest_collection_modifyitems(items):
     """Begin with the files that take longest, windows and examples: two processes then end at about the same time."""
     items.sort(key=lambda item: not item.nodeid.startswith(("tests/ui/", "tests/test_")))
+
+
+def pytest_collection_finish():
+    """Look for garbage less often: a test process holds two million objects that stay."""
+    gc.freeze()
+    gc.set_threshold(20_000)
 
 
 @pytest.fixture(autouse=True)

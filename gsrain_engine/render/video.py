@@ -1,6 +1,7 @@
 """Video out by PyAV: H.264 or AV1 in MP4, VP9 or AV1 in WebM, the same bytes every time, playable whenever it stops."""
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from fractions import Fraction
 from importlib.util import find_spec
@@ -76,6 +77,8 @@ class VideoWriter:
         if encoder.name == "libsvtav1":
             os.environ.setdefault("SVT_LOG", "1")  # errors only: it is talkative on the console
         path.parent.mkdir(parents=True, exist_ok=True)
+        # Ctrl-C is raised in the main thread, and lost where FFmpeg has called what it is raised in.
+        self._thread = ThreadPoolExecutor(1, "video")
         self._file = TornFile(path)
         self._container: Any = self._av.open(self._file, mode="w", format=suffix[1:], options=_CONTAINERS[suffix])
         rate = Fraction(fps).limit_denominator(1001)
@@ -87,17 +90,14 @@ class VideoWriter:
     def write(self, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
         """Add a frame. Raises `OSError` where it can't be written."""
         frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
-        self._container.mux(self._stream.encode(frame))
-        self._file.check()
+        self._thread.submit(self._mux, self._container, frame).result()
 
     def close(self) -> None:
         """Write what the encoder still holds and end the file. Raises `OSError` where it can't be written."""
         if self._container is not None:
             container, self._container = self._container, None
-            container.mux(self._stream.encode(None))
-            container.close()
-            self._file.close()
-            self._file.check()
+            self._thread.submit(self._end, container).result()
+            self._thread.shutdown()
 
     def __enter__(self) -> "VideoWriter":
         return self
@@ -108,6 +108,16 @@ class VideoWriter:
                 self.close()
         else:
             self.close()
+
+    def _mux(self, container: Any, frame: Any) -> None:
+        container.mux(self._stream.encode(frame))
+        self._file.check()
+
+    def _end(self, container: Any) -> None:
+        container.mux(self._stream.encode(None))
+        container.close()
+        self._file.close()
+        self._file.check()
 
 
 def _pyav(path: Path) -> Any:

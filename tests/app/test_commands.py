@@ -132,8 +132,9 @@ def test_ctrl_c_leaves_a_playable_video(room, tmp_path):
     command = [sys.executable, "-c", f"{listen}\nfrom app.__main__ import main\nmain()", "render", str(room)]
     command += ["-o", str(out), "--size", "96x64", "--backend", "cpu", "--duration", "600"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "NO_COLOR": "1"}) as process:
-        while process.poll() is None and (not out.exists() or out.stat().st_size < 20_000):
-            pass
+        while not out.exists() or out.stat().st_size < 20_000:
+            with pytest.raises(subprocess.TimeoutExpired):
+                process.wait(0.1)
         process.send_signal(signal.SIGINT)
         said = process.communicate(timeout=60)[0]
     assert process.returncode == 130

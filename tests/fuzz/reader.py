@@ -35,7 +35,7 @@ class Reader:
     """The one error that the command line turns into a sentence."""
     damage: tuple[tuple[str, Damage], ...]
     """Which files are damaged (a pattern of their names below the folder), and how; the first that fits counts."""
-    tries: int = 80
+    tries: int = 40
     """How many damaged files a test run tries; fewer where each of them takes long."""
     longest_s: float = LONGEST_S
 

@@ -66,7 +66,7 @@ _BYTES, _ZIP = (("*", damaged_bytes),), (("*", inside_zip(lambda _: damaged_byte
 
 TURBO_READERS = (
     Reader("transfer-published", _published, _into_a_model(), ValueError, _ZIP, tries=8),
-    Reader("transfer-own", _own, _into_a_model(), ValueError, _BYTES, tries=40),
-    Reader("transfer-state", _state, _read_state, ValueError, _BYTES, tries=40),
+    Reader("transfer-own", _own, _into_a_model(), ValueError, _BYTES, tries=20),
+    Reader("transfer-state", _state, _read_state, ValueError, _BYTES, tries=20),
 )
 """Transfers, and what looks at them."""

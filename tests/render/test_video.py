@@ -8,6 +8,7 @@ import av
 import numpy as np
 import pytest
 
+from gsrain_engine.render.torn_file import TornFile
 from gsrain_engine.render.video import VideoWriter, can_write_videos
 
 
@@ -58,6 +59,28 @@ def test_an_interrupted_video_is_playable(tmp_path):
                 raise KeyboardInterrupt
             video.write(pixels)
     assert len(decode(path)) == 7
+
+
+def test_ctrl_c_is_heard_while_the_file_is_written(tmp_path, monkeypatch):
+    path, written = tmp_path / "stopped.mp4", TornFile.write
+    pressed = []
+
+    def write(file, data):
+        if not pressed:
+            pressed.append(file.tell())
+            signal.raise_signal(signal.SIGINT)
+        return written(file, data)
+
+    monkeypatch.setattr(TornFile, "write", write)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), VideoWriter(path, 64, 48, 30.0) as video:
+            for pixels in frames(100):
+                video.write(pixels)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert pressed
+    assert 0 < len(decode(path)) < 100
 
 
 def test_a_killed_video_keeps_what_was_written(tmp_path):
