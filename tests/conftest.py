@@ -27,6 +27,9 @@ os.environ["XDG_STATE_HOME"] = os.environ["XDG_CONFIG_HOME"] = _OWN.name
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's llvmpipe
 
+# Garbage is looked for less often, and not among what collecting tests has loaded: two million objects, which all stay.
+gc.set_threshold(20_000)
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
@@ -36,9 +39,7 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    """Look for garbage less often: a test process holds two million objects that stay."""
     gc.freeze()
-    gc.set_threshold(20_000)
 
 
 @pytest.fixture(autouse=True)
