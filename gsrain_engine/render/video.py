@@ -96,8 +96,8 @@ class VideoWriter:
         """Write what the encoder still holds and end the file. Raises `OSError` where it can't be written."""
         if self._container is not None:
             container, self._container = self._container, None
-            self._thread.submit(self._end, container).result()
-            self._thread.shutdown()
+            with self._thread:
+                self._thread.submit(self._end, container).result()
 
     def __enter__(self) -> "VideoWriter":
         return self
