@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("app", "ui", "gsrain_engine")
-MOST_LINES = 400
+MAX_LINES = 900
 LONG = {
     "THIRD_PARTY_LICENCES.md": "a list, written by packaging/licences.py",
     "docs/extending.md": "a whole program for each thing that can be added, each of which a test runs",
@@ -73,7 +73,7 @@ def test_no_file_is_long_without_a_reason():
     files = [path for each in tops for path in (ROOT / each).rglob("*.py")]
     files += [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
     lines = {str(each.relative_to(ROOT)): len(each.read_text(encoding="utf-8").splitlines()) for each in files}
-    assert {name: count for name, count in lines.items() if count > MOST_LINES and name not in LONG} == {}
+    assert {name: count for name, count in lines.items() if count > MAX_LINES and name not in LONG} == {}
 
 
 @pytest.mark.parametrize(("page", "written"), [("CONTRIBUTING.md", "{}/"), ("docs/architecture.md", '{}["{}: ')])
