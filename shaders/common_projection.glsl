@@ -58,7 +58,9 @@ void set_color(inout Splat splat, vec3 color) {
 shared uint visible_mask[8];
 
 // Packs the visible splats of a workgroup of 256 to the front of a block of 256 slots, in the order of its threads. Every
-// thread calls it, `visible` or not; `block` counts from the dispatch's first slot.
+// thread calls it, `visible` or not, as often as it likes; `block` counts from the dispatch's first slot.
+// No races: `visible_mask` is cleared, set (by atomics only) and read between barriers, the last of which lets the next call
+// clear it; ranks differ, so each splat has a slot of its own.
 void emit(bool visible, Splat splat, uint block) {
     uint lane = gl_LocalInvocationID.x, word = lane >> 5;
     if (lane < 8u) visible_mask[lane] = 0u;
@@ -71,6 +73,7 @@ void emit(bool visible, Splat splat, uint block) {
         if (k < word) rank += count;
         total += count;
     }
+    barrier();
     if (lane == 0u) block_counts[first_slot / 256u + block] = total;
     if (!visible) return;
     uint slot = first_slot + block * 256u + rank;

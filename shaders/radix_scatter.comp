@@ -1,5 +1,7 @@
 #version 430
 // Moves keys and their slots to where their digit puts them; equal digits keep their order.
+// No races: `mask` is cleared, set (by atomics only) and read between barriers, `place` is read and moved on between barriers,
+// the last of which ends the round: `mask` is cleared for the next one when nobody reads it. Each key has a place of its own.
 
 #include "common_radix.glsl"
 
@@ -35,5 +37,6 @@ void main() {
             for (uint k = 0u; k < 8u; ++k) sum += uint(bitCount(mask[lane * 8u + k]));
             place[lane] += sum;
         }
+        barrier();
     }
 }

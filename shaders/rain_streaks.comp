@@ -1,6 +1,8 @@
 #version 430
 // Makes the streak Gaussians of the drops that were found, and projects them. One thread a drop; gsrain_engine/rain/
 // streaks.py is the readable form (paper, eq. 4-7 and 10-12).
+// No races: only `emit` shares anything, `max_copies` is the same for all threads, so each calls it as often, and a copy has a
+// block of its own.
 
 layout(local_size_x = 256) in;
 
@@ -85,6 +87,5 @@ void main() {
             if (visible) set_color(splat, display_color);
         }
         emit(visible, splat, gl_WorkGroupID.x * max_copies + copy);
-        barrier();
     }
 }

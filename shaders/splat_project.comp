@@ -1,5 +1,6 @@
 #version 430
 // Projects each Gaussian of a chunk once. One thread a Gaussian.
+// No races: only `emit` shares anything, every thread calls it once, and each workgroup of each dispatch has a block of its own.
 
 layout(local_size_x = 256) in;
 

@@ -99,6 +99,7 @@ class SplatRenderer:
         self._drawn.haze_drawn = falling.haze_drawn if falling is not None else 0
         self._makes_drops = isinstance(falling, FallingRain) and falling.streak_field is not None
         before = self.context.detect_framebuffer()
+        self.context.memory_barrier()  # else shaders may write what those of the last frame still read
         with self._timers.stage("project"):
             slots = self._projection.project(self._store, parts, camera, falling, look)
         with self._timers.stage("sort"):
