@@ -1,0 +1,268 @@
+"""A GPU made of Python: runs compute shaders thread by thread in an order of chance, and reports what nothing orders.
+
+`InterpretedContext` stands in for a moderngl context, so that the engine's own classes hand it their shaders, buffers,
+uniforms, dispatches and memory barriers. Shaders are translated from their GLSL to Python generators that pause before
+each access to shared or writable memory. Threads of a workgroup then take turns by a seeded chance, one by one or as
+warps of 32 in lock step, as far as the next `barrier()`.
+
+Two accesses of one word of memory by two threads are a race, and reported, unless both only read, both are atomic, or
+something orders them: `barrier()` for what a workgroup shares, `memory_barrier()` for buffers (within one dispatch, nothing).
+That takes no luck: it does not depend on which of the two came first. Also reported: memory that is read before it is written, indices
+out of bounds, and barriers that only a part of the threads reaches.
+
+What it takes is the part of GLSL 4.30 that the project's compute shaders use; anything else is refused. Floats are
+Python's, rounded to 32 bits where they are stored.
+"""
+
+import itertools
+import math
+import random
+
+import moderngl
+import numpy as np
+
+from .translation import ATOMIC, BARRIER, INVOCATION, LOAD, STORE, translate
+from .values import CODECS, RUNTIME, UNDEFINED, Vec, constructed
+
+_MOST_STEPS = 20_000_000
+
+
+class Memory:
+    """Words of 32 bits, None where nobody has written, and who touched each since something last put accesses in order.
+
+    Of each word: who loaded, stored and changed it atomically, and where. Two who differ are enough to tell a race.
+    """
+
+    def __init__(self, name, size):
+        self.name, self.words, self.touched = name, [None] * size, {}
+
+
+class _Thread:
+    def __init__(self, machine, who, invocation):
+        self.machine, self.who = machine, who
+        for name, values in zip(INVOCATION, invocation, strict=True):
+            setattr(self, name, Vec("u", values))
+        self.running, self.request = None, None
+
+    def load(self, memory, at, place, codec):
+        return self.machine.access(self.who, (LOAD, memory, at, place, codec))
+
+    def index(self, at, count, place):
+        if not 0 <= at < count:
+            self.machine.report(f"{place} takes element {at} of {count}")
+            return 0
+        return at
+
+
+class InterpretedContext(moderngl.Context):
+    """What the engine needs of a context to run compute shaders.
+
+    Args:
+        seed: Of the order in which threads take turns.
+        warps: Whether 32 threads advance in lock step, as on an NVIDIA GPU before Volta, or each by itself.
+    """
+
+    def __init__(self, seed=0, *, warps=False):
+        self.chance, self.warps = random.Random(seed), warps
+        self.bindings, self.buffers, self.faults = {}, [], {}
+        self._commands, self._steps = itertools.count(1), 0
+
+    def __del__(self):
+        pass
+
+    @property
+    def info(self):
+        return {"GL_MAX_SHADER_STORAGE_BLOCK_SIZE": 1 << 27, "GL_RENDERER": "interpreted"}
+
+    @property
+    def error(self):
+        return "GL_NO_ERROR"
+
+    def buffer(self, data=None, *, reserve=0, dynamic=False):
+        made = InterpretedBuffer(self, reserve if data is None else memoryview(data).nbytes)
+        if data is not None:
+            made.write(data)
+        return made
+
+    def compute_shader(self, source):
+        return InterpretedShader(self, source)
+
+    def memory_barrier(self, barriers=0xFFFFFFFF, by_region=False):
+        assert barriers == 0xFFFFFFFF, "all kinds of accesses are put in order, or this does not know which"
+        for buffer in self.buffers:
+            buffer.memory.touched.clear()
+
+    def command(self):
+        """A number of its own for what is handed to OpenGL; its threads follow it."""
+        return next(self._commands) << 32
+
+    def report(self, fault):
+        self.faults[fault] = self.faults.get(fault, 0) + 1
+
+    def access(self, who, request):
+        """Do what a thread asks for, and report it where nothing puts it in order with what another one did."""
+        kind, memory, at, place, codec = request[:5]
+        words, end = memory.words, at + codec.size
+        if at < 0 or end > len(words):
+            self.report(f"{place} is outside of {memory.name}")
+            return codec.decode([0] * codec.size, 0) if kind != STORE else None
+        touched, me = memory.touched, (who, place)
+        for word in range(at, end):
+            before = touched.get(word)
+            if before is None:
+                touched[word] = [[me] if kind == each else [] for each in (LOAD, STORE, ATOMIC)]
+                continue
+            for other_kind, others in enumerate(before):
+                for other in others:
+                    if other[0] != who and (other_kind != kind or kind == STORE):
+                        self._race(memory, (other[1], _VERBS[other_kind]), (place, _VERBS[kind]))
+            others = before[kind]
+            if not others or (len(others) == 1 and others[0][0] != who):
+                others.append(me)
+        if kind == STORE:
+            words[at:end] = codec.encode(request[5])
+            return None
+        if codec.size == 1 and words[at] is not None and codec.type == "uint":
+            value = words[at]
+        elif None in words[at:end]:
+            self.report(f"{place} reads of {memory.name} what nobody has written")
+            return codec.decode([UNDEFINED] * codec.size, 0)
+        else:
+            value = codec.decode(words, at)
+        if kind == ATOMIC:
+            words[at:end] = codec.encode(request[5](value, request[6]))
+        return value
+
+    def _race(self, memory, first, second):
+        (a, b) = sorted([first, second])
+        self.report(f"{a[0]} {a[1]} and {b[0]} {b[1]} {memory.name} with nothing between them")
+
+    def run(self, program, uniforms, groups):
+        """Run a dispatch: workgroups in an order of chance, one after another; their threads as the class says."""
+        names = {**RUNTIME, **program.constants, **uniforms}
+        for name, (binding, _) in program.blocks.items():
+            names[name] = self.bindings[binding].memory if binding in self.bindings else Memory(name[2:], 0)
+            names[name].name = name[2:]
+        exec(program.code, names)
+        command, numbers = self.command(), list(itertools.product(*(range(each) for each in groups)))
+        self.chance.shuffle(numbers)
+        size = program.size
+        for number, group in enumerate(numbers):
+            shared = {name: Memory(name[2:], words) for name, words in program.shared.items()}
+            names |= shared
+            threads = []
+            for local in itertools.product(*(range(each) for each in reversed(size))):
+                local = local[::-1]
+                at = [g * s + each for g, s, each in zip(group, size, local, strict=True)]
+                who = command + number * math.prod(size) + len(threads)
+                threads.append(_Thread(self, who, (local, group, at, groups, size)))
+                threads[-1].running = names["f_main"](threads[-1])
+            self._run_group(threads, shared.values())
+
+    def _run_group(self, threads, shared):
+        ready = [thread for thread in threads if self._advance(thread, None)]
+        ended = len(threads) - len(ready)
+        while ready:
+            waiting = self._to_barrier(ready)
+            ended += len(ready) - len(waiting)
+            if len({thread.request[3] for thread in waiting}) > 1 or (waiting and ended):
+                self.report(f"not all threads come to the barrier of {waiting[0].request[3]}")
+            for memory in shared:
+                memory.touched.clear()
+            ready = [thread for thread in waiting if self._advance(thread, None)]
+            ended += len(waiting) - len(ready)
+
+    def _to_barrier(self, threads):
+        """Let threads take turns until each has ended or waits; returns those that wait."""
+        width, waiting, units = 32 if self.warps else 1, [], []
+        if self.warps:
+            for _, warp in itertools.groupby(threads, key=lambda thread: thread.who // width):
+                units.append(list(warp))
+        else:
+            units = [[thread] for thread in threads]
+        while units:
+            at = int(self.chance.random() * len(units))
+            unit = units[at]
+            for _ in range(self.chance.choice((1, 1, 2, 5, 1000))):
+                left = []
+                for thread in unit:
+                    if thread.request[0] == BARRIER:
+                        waiting.append(thread)
+                    elif self._advance(thread, self.access(thread.who, thread.request)):
+                        left.append(thread)
+                unit = left
+                if not unit:
+                    break
+            units[at] = unit
+            if not unit:
+                units[at] = units[-1]
+                units.pop()
+        return waiting
+
+    def _advance(self, thread, value):
+        """Run a thread as far as its next access; False where it ends instead."""
+        self._steps += 1
+        if self._steps > _MOST_STEPS:
+            raise RuntimeError("the shader does not come to an end")
+        try:
+            thread.request = thread.running.send(value)
+        except StopIteration:
+            return False
+        return True
+
+
+_VERBS = {LOAD: "reads", STORE: "writes", ATOMIC: "changes"}
+
+
+class InterpretedBuffer(moderngl.Buffer):
+    def __init__(self, context, size):
+        self._context, self.memory = context, Memory("a buffer", size // 4)
+        context.buffers.append(self)
+
+    def __del__(self):
+        pass
+
+    @property
+    def size(self):
+        return 4 * len(self.memory.words)
+
+    def write(self, data, offset=0):
+        values = np.frombuffer(memoryview(data).cast("B"), np.uint32).tolist()
+        self.memory.words[offset // 4 : offset // 4 + len(values)] = values
+
+    def read(self, size=-1, offset=0):
+        end = len(self.memory.words) if size < 0 else (offset + size) // 4
+        who = self._context.command()
+        for at in range(offset // 4, end):
+            if self.memory.words[at] is not None:
+                self._context.access(who, (LOAD, self.memory, at, "the processor", CODECS["uint"]))
+        words = self.memory.words[offset // 4 : end]
+        return np.array([UNDEFINED if word is None else word for word in words], np.uint32).tobytes()
+
+    def bind_to_storage_buffer(self, binding=0, offset=0, size=-1):
+        self._context.bindings[binding] = self
+
+    def release(self):
+        if self in self._context.buffers:
+            self._context.buffers.remove(self)
+
+
+class InterpretedShader(moderngl.ComputeShader):
+    def __init__(self, context, source):
+        self._context, self.program, self._uniforms = context, translate(source), {}
+
+    def __del__(self):
+        pass
+
+    def __setitem__(self, name, value):
+        kind = self.program.uniforms[name]
+        values = np.ravel(value).tolist()
+        self._uniforms[f"u_{name}"] = constructed(kind, *values)
+
+    def run(self, group_x=1, group_y=1, group_z=1):
+        self._context.run(self.program, self._uniforms, (group_x, group_y, group_z))
+
+    def run_indirect(self, buffer, offset=0):
+        who = self._context.command()
+        request = [(LOAD, buffer.memory, offset // 4 + k, "the dispatch", CODECS["uint"]) for k in range(3)]
+        self.run(*(self._context.access(who, each) for each in request))

@@ -1,0 +1,753 @@
+"""From GLSL to Python generators that pause before each access to shared or writable memory, and at barriers."""
+
+import itertools
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+
+from gsrain_engine.render import shaders
+
+from .values import (
+    ALL,
+    CODECS,
+    COMPARED,
+    LETTERS,
+    MATRICES,
+    OF_TYPE,
+    RUNTIME,
+    SAME,
+    SCALAR_OF,
+    SCALARS,
+    VECTORS,
+    Codec,
+    UnsupportedError,
+    array_codec,
+    struct_codec,
+    vector_type,
+)
+
+LOAD, STORE, ATOMIC, BARRIER = range(4)
+
+INVOCATION = ("gl_LocalInvocationID", "gl_WorkGroupID", "gl_GlobalInvocationID", "gl_NumWorkGroups", "gl_WorkGroupSize")
+
+
+_TOKEN = re.compile(
+    r"\s*(?://.*|(?P<number>0[xX][0-9a-fA-F]+u?|\d+\.\d*(?:[eE][-+]?\d+)?|\d*\.\d+(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+|\d+u?)"
+    r"|(?P<name>[A-Za-z_]\w*)|(?P<sign><<=|>>=|\+\+|--|<<|>>|<=|>=|==|!=|&&|\|\||[-+*/%&|^]=|[-+*/%&|^~!<>=?:;,.(){}\[\]]))"
+)
+_LEVELS = [
+    ["||"],
+    ["&&"],
+    ["|"],
+    ["^"],
+    ["&"],
+    ["==", "!="],
+    ["<", ">", "<=", ">="],
+    ["<<", ">>"],
+    ["+", "-"],
+    ["*", "/", "%"],
+]
+_ASSIGNMENTS = {"=", "+=", "-=", "*=", "/=", "%=", "&=", "|=", "^=", "<<=", ">>="}
+
+
+@dataclass(frozen=True)
+class _Token:
+    text: str
+    place: str
+    """File and line."""
+
+
+@dataclass
+class _Operand:
+    """An expression. In memory: what holds it, and the word at which it begins; a local variable: its name and path."""
+
+    type: object
+    code: str = ""
+    memory: str = ""
+    offset: str = ""
+    place: str = ""
+    name: str = ""
+    path: tuple = ()
+
+
+@dataclass
+class _Function:
+    name: str
+    type: str
+    parameters: list
+    """Of each: out, in or inout; type; name."""
+    pauses: bool = False
+
+
+@dataclass
+class _Symbol:
+    name: str
+    type: object
+    kind: str
+    offset: int = 0
+
+
+@dataclass(frozen=True)
+class Program:
+    """A translated shader. `blocks`: binding and access of each storage block; `shared`: words of each variable."""
+
+    code: object
+    constants: dict
+    uniforms: dict
+    blocks: dict
+    shared: dict
+    size: tuple
+
+
+@lru_cache(maxsize=64)
+def translate(text):
+    """Translate a compute shader's text, after its includes."""
+    return _Translator(text).program()
+
+
+def _places(text):
+    """File and line of each line of a shader of the package; of another text, its own lines."""
+    lines = text.split("\n")
+    defined = itertools.takewhile(lambda line: line.startswith("#define"), lines[1:])
+    switches = {line.split()[1]: int(line.split()[2]) for line in defined if line.split()[-1].isdigit()}
+    for file in resources.files("shaders").iterdir():
+        if file.name.endswith(".comp"):
+            source = shaders._Source(file.name, switches)
+            if source.text == text:
+                return [f"{name}:{number}" for name, number in source.origins]
+    return [f"line {number}" for number in range(1, len(lines) + 1)]
+
+
+def _tokens(text):
+    macros, active, found = {}, [], []
+    for line, place in zip(text.split("\n"), [*_places(text), "the end"], strict=False):
+        word, _, rest = line.strip().partition(" ")
+        rest = rest.partition("//")[0].strip()
+        if word in ("#ifdef", "#if"):
+            holds = rest in macros if word == "#ifdef" else _holds(rest, macros)
+            active.append((holds, holds))
+        elif word == "#elif":
+            holds = not active[-1][1] and _holds(rest, macros)
+            active[-1] = holds, holds or active[-1][1]
+        elif word == "#else":
+            active[-1] = not active[-1][1], True
+        elif word == "#endif":
+            active.pop()
+        elif not all(each for each, _ in active) or word == "#version":
+            continue
+        elif word == "#define":
+            name, _, value = rest.partition(" ")
+            macros[name] = value
+        elif word.startswith("#"):
+            raise UnsupportedError(f"{place}: {word}")
+        else:
+            found += _line_tokens(line, place, macros)
+    return found
+
+
+def _line_tokens(line, place, macros):
+    found, at, end = [], 0, len(line.rstrip())
+    while at < end:
+        match = _TOKEN.match(line, at)
+        if match is None:
+            raise UnsupportedError(f"{place}: {line[at:]}")
+        at = match.end()
+        token = match["number"] or match["name"] or match["sign"]
+        if token in macros:
+            found += _line_tokens(macros[token], place, {})
+        elif token:
+            found.append(_Token(token, place))
+    return found
+
+
+def _holds(condition, macros):
+    replaced = re.sub(r"[A-Za-z_]\w*", lambda match: macros.get(match[0], "0"), condition)
+    if not re.fullmatch(r"[\d\s<>=!]+", replaced):
+        raise UnsupportedError(f"#if {condition}")
+    return bool(eval(replaced, {"__builtins__": {}}))
+
+
+class _Translator:
+    def __init__(self, text):
+        self.tokens, self.at = _tokens(text), 0
+        self.lines, self.depth, self.numbers = [], 0, itertools.count()
+        self.codecs, self.functions = dict(CODECS), {}
+        self.constants, self.uniforms, self.blocks, self.shared, self.size = {}, {}, {}, {}, (1, 1, 1)
+        self.scopes = [{name: _Symbol(f"_t.{name}", "uvec3", "local") for name in INVOCATION}]
+        self.function = None
+        self.switches = 0
+        self.steps = []
+
+    def program(self):
+        while self.at < len(self.tokens):
+            self._declaration()
+        code = compile("\n".join(self.lines), "translated shader", "exec")
+        return Program(code, self.constants, self.uniforms, self.blocks, self.shared, self.size)
+
+    # Tokens.
+
+    @property
+    def next(self):
+        return self.tokens[self.at].text if self.at < len(self.tokens) else ""
+
+    @property
+    def place(self):
+        return self.tokens[min(self.at, len(self.tokens) - 1)].place
+
+    def take(self, expected=None):
+        token = self.next
+        if expected is not None and token != expected:
+            raise UnsupportedError(f"{self.place}: {expected} expected, not {token}")
+        self.at += 1
+        return token
+
+    def takes(self, token):
+        if self.next == token:
+            self.at += 1
+            return True
+        return False
+
+    def emit(self, line):
+        self.lines.append("    " * self.depth + line)
+
+    def _refuse(self, what):
+        raise UnsupportedError(f"{self.place}: {what}")
+
+    # Declarations.
+
+    def _is_type(self, token):
+        return token in self.codecs or token in MATRICES or token == "void"
+
+    def _declaration(self):
+        if self.next == "layout":
+            self._layout()
+        elif self.takes("struct"):
+            self._struct_declaration()
+        elif self.takes("shared"):
+            kind = self.take()
+            for name, codec in self._declared(kind):
+                self.shared[f"m_{name}"] = codec.size
+                self.scopes[0][name] = _Symbol(f"m_{name}", codec, "memory")
+        elif self.takes("uniform"):
+            kind = self.take()
+            while True:
+                name = self.take()
+                self.uniforms[name] = kind
+                self.scopes[0][name] = _Symbol(f"u_{name}", kind, "local")
+                if not self.takes(","):
+                    break
+            self.take(";")
+        elif self.takes("const"):
+            self._constants()
+        elif self._is_type(self.next):
+            self._function_declaration()
+        elif not self.takes(";"):
+            self._refuse(self.next)
+
+    def _layout(self):
+        self.take("layout")
+        self.take("(")
+        values = {}
+        while not self.takes(")"):
+            name = self.take()
+            values[name] = self.take() if self.takes("=") else ""
+            self.takes(",")
+        if self.takes("in"):
+            self.size = tuple(int(values.get(f"local_size_{axis}", 1)) for axis in "xyz")
+            self.take(";")
+            return
+        access = self.take() if self.next in ("readonly", "writeonly") else "any"
+        self.take("buffer")
+        name = self.take()
+        self.take("{")
+        codec = struct_codec(name, self._members())
+        self.take(";")
+        if "std430" not in values:
+            self._refuse("a block that is not std430")
+        self.blocks[f"m_{name}"] = int(values["binding"]), access
+        kind = "constant memory" if access == "readonly" else "memory"
+        for member, offset, each in codec.members:
+            self.scopes[0][member] = _Symbol(f"m_{name}", each, kind, offset)
+
+    def _members(self):
+        members = []
+        while not self.takes("}"):
+            kind = self.take()
+            members += [(codec, name) for name, codec in self._declared(kind)]
+        return members
+
+    def _declared(self, kind):
+        """Names and codecs of `kind a, b[3], c[];`, up to its semicolon."""
+        found = []
+        while True:
+            name, codec = self.take(), self.codecs[kind]
+            if self.takes("["):
+                count = None if self.next == "]" else eval(self._expression().code, self._constant_names())
+                self.take("]")
+                codec = array_codec(codec, count)
+            found.append((name, codec))
+            if not self.takes(","):
+                break
+        self.take(";")
+        return found
+
+    def _struct_declaration(self):
+        name = self.take()
+        self.take("{")
+        self.codecs[name] = struct_codec(name, self._members())
+        self.take(";")
+
+    def _constant_names(self):
+        return {**RUNTIME, **self.constants}
+
+    def _constants(self):
+        kind = self.take()
+        while True:
+            name = self.take()
+            self.take("=")
+            value = self._converted(self._expression(), kind)
+            self.constants[f"c_{name}"] = eval(value, self._constant_names())
+            self.scopes[0][name] = _Symbol(f"c_{name}", kind, "local")
+            if not self.takes(","):
+                break
+        self.take(";")
+
+    def _function_declaration(self):
+        kind, name = self.take(), self.take()
+        self.take("(")
+        parameters = []
+        while not self.takes(")"):
+            way = self.take() if self.next in ("in", "out", "inout") else "in"
+            parameters.append((way, self.take(), self.take()))
+            self.takes(",")
+        self.function = self.functions[name] = _Function(name, kind, parameters)
+        self.scopes.append({each: _Symbol(f"p_{each}", type_, "local") for _, type_, each in parameters})
+        self.emit(f"def f_{name}(_t{''.join(f', p_{each}' for _, _, each in parameters)}):")
+        self.depth += 1
+        if name == "main":
+            self.function.pauses = True
+            self.emit("yield from ()")
+        self.take("{")
+        while not self.takes("}"):
+            self._statement()
+        self._return(None)
+        self.depth -= 1
+        self.scopes.pop()
+
+    # Statements.
+
+    def _block(self):
+        self.depth += 1
+        self.scopes.append({})
+        self.emit("pass")
+        if self.takes("{"):
+            while not self.takes("}"):
+                self._statement()
+        else:
+            self._statement()
+        self.scopes.pop()
+        self.depth -= 1
+
+    def _statement(self):
+        token = self.next
+        if token == "{":
+            self.emit("if True:")
+            self._block()
+        elif self.takes("if"):
+            self.take("(")
+            condition = self._value()
+            self.take(")")
+            self.emit(f"if {condition.code}:")
+            self._block()
+            if self.takes("else"):
+                self.emit("else:")
+                self._block()
+        elif self.takes("for"):
+            self._for()
+        elif self.takes("while"):
+            self.take("(")
+            condition = self._value()
+            self.take(")")
+            self.emit(f"while {condition.code}:")
+            self._loop([])
+        elif self.takes("switch"):
+            self._switch()
+        elif self.takes("return"):
+            self._return(None if self.next == ";" else self._value())
+            self.take(";")
+        elif self.takes("break"):
+            if self.switches:
+                self._refuse("a break inside a case")
+            self.emit("break")
+            self.take(";")
+        elif self.takes("continue"):
+            self.lines += [("    " * self.depth + line) for line in self.steps[-1]]
+            self.emit("continue")
+            self.take(";")
+        elif token == "const" or (self._is_type(token) and self.tokens[self.at + 1].text != "("):
+            self.takes("const")
+            self._local()
+        elif not self.takes(";"):
+            self._action()
+            self.take(";")
+
+    def _local(self):
+        kind = self.take()
+        while True:
+            name = self.take()
+            if self.next == "[":
+                self._refuse("a local array")
+            # An initializer may call a function that writes a variable declared just before it.
+            if self.takes("="):
+                value = self._converted(self._expression(), kind)
+            else:
+                value = "{}" if kind not in SCALARS and kind not in VECTORS and kind not in MATRICES else "None"
+            symbol = _Symbol(f"v{next(self.numbers)}_{name}", kind, "local")
+            self.emit(f"{symbol.name} = {value}")
+            self.scopes[-1][name] = symbol
+            if not self.takes(","):
+                break
+        self.take(";")
+
+    def _for(self):
+        self.take("(")
+        self.scopes.append({})
+        if self._is_type(self.next):
+            self._local()
+        else:
+            if self.next != ";":
+                self._action()
+            self.take(";")
+        condition = "True" if self.next == ";" else self._value().code
+        self.take(";")
+        body, depth, self.lines, self.depth = self.lines, self.depth, [], 0
+        while self.next != ")":
+            self._action()
+            self.takes(",")
+        step, self.lines, self.depth = self.lines, body, depth
+        self.take(")")
+        self.emit(f"while {condition}:")
+        self._loop(step)
+        self.scopes.pop()
+
+    def _loop(self, step):
+        self.steps.append(step)
+        outer, self.switches = self.switches, 0
+        self._block()
+        self.switches = outer
+        self.lines += ["    " * (self.depth + 1) + line for line in self.steps.pop()]
+
+    def _switch(self):
+        self.take("(")
+        value, chosen = self._value(), f"v{next(self.numbers)}_case"
+        self.take(")")
+        self.take("{")
+        self.emit(f"{chosen} = {value.code}")
+        word = "if"
+        while not self.takes("}"):
+            if self.takes("default"):
+                self.emit("else:" if word == "elif" else "if True:")
+                ends = True
+            else:
+                self.take("case")
+                self.emit(f"{word} {chosen} == {self._value().code}:")
+                ends = False
+            self.take(":")
+            word = "elif"
+            self.depth += 1
+            self.emit("pass")
+            self.switches += 1
+            while self.next not in ("case", "default", "}"):
+                if ends and self.next != "}" and self.tokens[self.at - 1].text == "break":
+                    self._refuse("more after a break")
+                if self.next == "break":
+                    self.take()
+                    self.take(";")
+                    ends = True
+                    break
+                ends = self.next == "return"
+                self._statement()
+            self.switches -= 1
+            self.depth -= 1
+            if not ends and self.next != "}":
+                self._refuse("a case that falls through")
+
+    def _return(self, value):
+        outs = [f"p_{name}" for way, _, name in self.function.parameters if way != "in"]
+        given = "None" if value is None else self._converted(value, self.function.type)
+        self.emit(f"return ({', '.join([given, *outs])},)" if outs else f"return {given}")
+
+    def _action(self):
+        """An assignment, a step up or down, or a call."""
+        step = self.take() if self.next in ("++", "--") else ""
+        target = self._postfix()
+        if not step and self.next in ("++", "--"):
+            step = self.take()
+        if step:
+            one = _Operand("int", "1")
+            self._assign(target, self._binary(step[0], self._loaded(target), one))
+        elif self.next in _ASSIGNMENTS:
+            sign = self.take()
+            value = self._value()
+            if sign != "=":
+                if target.memory:  # its place is worked out once
+                    at = f"v{next(self.numbers)}_at"
+                    self.emit(f"{at} = {target.offset}")
+                    target.offset = at
+                value = self._binary(sign[:-1], self._loaded(target), value)
+            self._assign(target, value)
+        else:
+            self.emit(self._loaded(target).code)
+
+    def _assign(self, target, value):
+        kind = target.type.type if isinstance(target.type, Codec) else target.type
+        code = self._converted(value, kind)
+        if target.memory:
+            self.function.pauses = True
+            self.emit(
+                f"yield ({STORE}, {target.memory}, {target.offset}, {target.place!r}, {self._codec(kind)}, {code})"
+            )
+        elif not target.name:
+            self._refuse("an assignment to no variable")
+        elif target.path:
+            self.emit(f"{target.name} = put({target.name}, {target.path!r}, {code})")
+        else:
+            self.emit(f"{target.name} = {code}")
+
+    def _codec(self, kind):
+        name = f"codec_{kind}"
+        self.constants[name] = self.codecs[kind]
+        return name
+
+    # Expressions.
+
+    def _value(self):
+        return self._loaded(self._expression())
+
+    def _expression(self):
+        condition = self._level(0)
+        if not self.takes("?"):
+            return condition
+        first = self._value()
+        self.take(":")
+        second = self._value()
+        kind = self._common(first.type, second.type)
+        codes = [self._converted(each, kind) for each in (first, second)]
+        return _Operand(kind, f"({codes[0]} if {self._loaded(condition).code} else {codes[1]})")
+
+    def _level(self, level):
+        if level == len(_LEVELS):
+            return self._unary()
+        left = self._level(level + 1)
+        while self.next in _LEVELS[level]:
+            sign = self.take()
+            left = self._loaded(left)
+            left = self._binary(sign, left, self._loaded(self._level(level + 1)))
+        return left
+
+    def _unary(self):
+        if self.next not in ("-", "+", "!", "~"):
+            return self._postfix()
+        sign, value = self.take(), self._loaded(self._unary())
+        if sign == "!":
+            return _Operand("bool", f"(not {value.code})")
+        if sign == "~":
+            return _Operand(value.type, f"({value.code} ^ {ALL if value.type == 'uint' else -1})")
+        wrapped = f"(-{value.code} & {ALL})" if value.type == "uint" else f"(-{value.code})"
+        return value if sign == "+" else _Operand(value.type, wrapped)
+
+    def _binary(self, sign, left, right):
+        a, b = left.code, right.code
+        if sign in ("&&", "||"):
+            return _Operand("bool", f"({a} {'and' if sign == '&&' else 'or'} {b})")
+        if left.type in SCALARS and right.type in SCALARS:
+            return self._scalars(sign, left, right)
+        if sign == "*" and left.type in MATRICES and right.type not in SCALARS:
+            columns_rows = MATRICES[left.type]
+            if right.type in MATRICES:
+                return _Operand(f"mat{MATRICES[right.type][0]}".replace("mat", "mat"), f"({a} * {b})")
+            return _Operand(vector_type("f", columns_rows[1]), f"({a} * {b})")
+        if sign == "*" and right.type in MATRICES and left.type in VECTORS:
+            return _Operand(vector_type("f", MATRICES[right.type][0]), f"({a} * {b})")
+        if sign not in ("+", "-", "*", "/", "&", "|", "^", "<<", ">>"):
+            self._refuse(f"{left.type} {sign} {right.type}")
+        kind = right.type if left.type in SCALARS else left.type
+        return _Operand(kind, f"({a} {sign} {b})")
+
+    def _scalars(self, sign, left, right):
+        a, b = left.code, right.code
+        if sign in ("==", "!=", "<", ">", "<=", ">="):
+            kind = self._common(left.type, right.type)
+            return _Operand("bool", f"({self._converted(left, kind)} {sign} {self._converted(right, kind)})")
+        if sign in ("<<", ">>"):
+            code = f"({a} {sign} ({b}))"
+            return _Operand(left.type, f"({code} & {ALL})" if left.type == "uint" else f"signed({code})")
+        kind = self._common(left.type, right.type)
+        a, b = self._converted(left, kind), self._converted(right, kind)
+        if sign == "/":
+            return _Operand(kind, f"{'quotient' if kind == 'float' else 'whole_quotient'}({a}, {b})")
+        if sign == "%":
+            return _Operand(kind, f"remainder({a}, {b})")
+        code = f"({a} {sign} {b})"
+        if kind == "float":
+            return _Operand(kind, code)
+        return _Operand(kind, f"({code} & {ALL})" if kind == "uint" else f"signed({code})")
+
+    def _common(self, first, second):
+        if first == second:
+            return first
+        if first in SCALARS and second in SCALARS and "bool" not in (first, second):
+            return "float" if "float" in (first, second) else "uint"
+        return self._refuse(f"{first} and {second}")
+
+    def _converted(self, operand, kind):
+        value = self._loaded(operand)
+        if value.type == kind:
+            return value.code
+        if kind == "float" and value.type in ("int", "uint"):
+            return f"float({value.code})"
+        if kind == "uint" and value.type == "int":
+            return value.code if value.code.isdigit() else f"({value.code} & {ALL})"
+        return self._refuse(f"{value.type} where {kind} belongs")
+
+    def _loaded(self, operand):
+        """The value of an expression: read, where it is in memory."""
+        if not operand.memory:
+            return operand
+        kind = operand.type.type
+        if isinstance(kind, tuple):
+            self._refuse("an array as a whole")
+        request = f"{operand.memory}, {operand.offset}, {operand.place!r}, {self._codec(kind)}"
+        if operand.code == "constant":
+            return _Operand(kind, f"_t.load({request})")
+        self.function.pauses = True
+        return _Operand(kind, f"(yield ({LOAD}, {request}))")
+
+    def _postfix(self):
+        operand = self._primary()
+        while self.next in (".", "["):
+            if self.takes("["):
+                index = self._value()
+                self.take("]")
+                operand = self._element(operand, index)
+            else:
+                self.take(".")
+                operand = self._field(operand, self.take())
+        return operand
+
+    def _element(self, operand, index):
+        if operand.memory and isinstance(operand.type.type, tuple):
+            _, stride, count = operand.type.type
+            at = index.code if count is None else f"_t.index({index.code}, {count}, {operand.place!r})"
+            operand.offset, operand.type = f"{operand.offset} + {at} * {stride}", operand.type.members[0]
+            return operand
+        value = self._loaded(operand)
+        if value.type in MATRICES:
+            kind = vector_type("f", MATRICES[value.type][1])
+        elif value.type in VECTORS:
+            kind = SCALAR_OF[VECTORS[value.type][0]]
+        else:
+            return self._refuse(f"an index of {value.type}")
+        path = (*value.path, int(index.code)) if value.name and index.code.isdigit() else ()
+        return _Operand(kind, f"{value.code}.parts[{index.code}]", name=value.name if path else "", path=path)
+
+    def _field(self, operand, field):
+        if operand.memory and operand.type.type not in VECTORS:
+            for name, offset, codec in operand.type.members:
+                if name == field:
+                    operand.offset, operand.type = f"{operand.offset} + {offset}", codec
+                    return operand
+            self._refuse(field)
+        value = self._loaded(operand)
+        if value.type in VECTORS:
+            kind, places = VECTORS[value.type][0], tuple(LETTERS[letter] for letter in field)
+            if len(places) == 1:
+                code = f"{value.code}.parts[{places[0]}]"
+                return _Operand(SCALAR_OF[kind], code, name=value.name, path=(*value.path, places[0]))
+            code = f"swizzled({value.code}, {places})"
+            return _Operand(vector_type(kind, len(places)), code, name=value.name, path=(*value.path, places))
+        kind = {name: codec.type for name, _, codec in self.codecs[value.type].members}[field]
+        return _Operand(kind, f"{value.code}[{field!r}]", name=value.name, path=(*value.path, field))
+
+    def _primary(self):
+        place, token = self.place, self.take()
+        if token == "(":
+            value = self._value()
+            self.take(")")
+            return _Operand(value.type, f"({value.code})")
+        if token[0].isdigit() or token[0] == ".":
+            return self._literal(token)
+        if token in ("true", "false"):
+            return _Operand("bool", token.capitalize())
+        if self.next == "(":
+            return self._call(token, place)
+        for scope in reversed(self.scopes):
+            if token in scope:
+                symbol = scope[token]
+                if "memory" not in symbol.kind:
+                    return _Operand(symbol.type, symbol.name, name=symbol.name)
+                constant = "constant" if symbol.kind == "constant memory" else ""
+                return _Operand(symbol.type, constant, symbol.name, str(symbol.offset), place)
+        return self._refuse(token)
+
+    def _literal(self, token):
+        if token.endswith("u"):
+            return _Operand("uint", str(int(token[:-1], 0)))
+        if token[:2] in ("0x", "0X") or token.isdigit():
+            return _Operand("int", str(int(token, 0)))
+        return _Operand("float", repr(float(token)))
+
+    def _call(self, name, place):
+        self.take("(")
+        arguments = []
+        while not self.takes(")"):
+            arguments.append(self._expression())
+            self.takes(",")
+        if name == "barrier":
+            self.function.pauses = True
+            return _Operand("void", f"(yield ({BARRIER}, None, 0, {place!r}))")
+        if name in ("atomicAdd", "atomicOr", "atomicAnd", "atomicMax", "atomicMin", "atomicXor", "atomicExchange"):
+            target, kind = arguments[0], arguments[0].type.type
+            self.function.pauses = True
+            request = f"{target.memory}, {target.offset}, {place!r}, {self._codec(kind)}"
+            changed = f"atomic_{name[6:].lower()}, {self._converted(arguments[1], kind)}"
+            return _Operand(kind, f"(yield ({ATOMIC}, {request}, {changed}))")
+        values = None if name in self.functions else [self._loaded(each) for each in arguments]
+        if values is None:
+            return self._own_call(self.functions[name], arguments)
+        codes = ", ".join(each.code for each in values)
+        if name in SCALARS or name in VECTORS or name in MATRICES:
+            return _Operand(name, f"constructed({name!r}, {codes})")
+        kinds = [each.type for each in values]
+        if name in OF_TYPE:
+            return _Operand(OF_TYPE[name][0], f"g_{name}({codes})")
+        if name in COMPARED:
+            vectors = [each for each in kinds if each in VECTORS]
+            return _Operand(vector_type("b", VECTORS[vectors[0]][1]) if vectors else "bool", f"g_{name}({codes})")
+        if name not in SAME:
+            self._refuse(f"{name}()")
+        kind = next((each for each in kinds if each in VECTORS), None) or kinds[0]
+        if kind in SCALARS and name in ("min", "max", "clamp"):
+            for each in kinds[1:]:
+                kind = self._common(kind, each)
+            codes = ", ".join(self._converted(each, kind) for each in values)
+        return _Operand(kind, f"g_{name}({codes})")
+
+    def _own_call(self, function, arguments):
+        codes, outs = [], []
+        for (way, kind, _), each in zip(function.parameters, arguments, strict=True):
+            codes.append(each.code if way == "out" else self._converted(each, kind))
+            if way != "in":
+                if not each.name or each.path:
+                    self._refuse("only a local variable can take a result")
+                outs.append(each.name)
+        call = f"f_{function.name}(_t{''.join(f', {each}' for each in codes)})"
+        if function.pauses:
+            self.function.pauses = True
+            call = f"(yield from {call})"
+        if outs:
+            given = f"r{next(self.numbers)}"
+            filled = ", ".join(f"{name} := {given}[{k}]" for k, name in enumerate(outs, start=1))
+            call = f"({given} := {call}, {filled}, {given}[0])[-1]"
+        return _Operand(function.type, call)
