@@ -1,8 +1,7 @@
 #version 430
 // Where each block of 256 puts its visible splats (or found drops), and how much work they make: an exclusive scan of the
 // counts by one workgroup, each thread over a run of its own.
-// No races: as in radix_scan.comp; only the last thread writes `Work`, and `found_groups` is read only where it is in another
-// buffer (`found_copies` is 0 else).
+// No races: as in radix_scan.comp; only the last thread writes `Work`, and `FoundWork` is another buffer.
 
 layout(local_size_x = 1024) in;
 

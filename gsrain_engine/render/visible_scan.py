@@ -1,6 +1,7 @@
 """From how many each block of 256 has to where each block's begin, and the indirect work that follows."""
 
 import moderngl
+import numpy as np
 
 from .shaders import load_compute_shader
 
@@ -19,6 +20,7 @@ class VisibleScan:
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._shader = load_compute_shader(context, "visible_scan.comp")
+        self._nothing_found = context.buffer(np.zeros(WORK_BYTES // 4, np.uint32))
 
     def run(
         self,
@@ -35,7 +37,7 @@ class VisibleScan:
         `by_group` things, of `most` at most, go to a workgroup of the dispatch. `found` is the work of drops that were
         found before, the first of their blocks, and how many blocks each of their groups fills: the others are empty.
         """
-        found_work, fixed, copies = found or (work, blocks, 0)
+        found_work, fixed, copies = found or (self._nothing_found, blocks, 0)
         for name, value in {
             "blocks": blocks, "fixed_blocks": fixed, "found_copies": copies, "by_group": by_group, "most": most,
         }.items():  # fmt: skip

@@ -6,9 +6,10 @@ each access to shared or writable memory. Threads of a workgroup then take turns
 warps of 32 in lock step, as far as the next `barrier()`.
 
 Two accesses of one word of memory by two threads are a race, and reported, unless both only read, both are atomic, or
-something orders them: `barrier()` for what a workgroup shares, `memory_barrier()` for buffers (within one dispatch, nothing).
-That takes no luck: it does not depend on which of the two came first. Also reported: memory that is read before it is written, indices
-out of bounds, and barriers that only a part of the threads reaches.
+something orders them: `barrier()` for what a workgroup shares, `memory_barrier()` for buffers (within one dispatch,
+nothing). That takes no luck: it does not depend on which of the two came first. Also reported: memory that is read
+before it is written, indices out of bounds, barriers that only a part of the threads reaches, and one buffer bound for
+two blocks of which one is written.
 
 What it takes is the part of GLSL 4.30 that the project's compute shaders use; anything else is refused. Floats are
 Python's, rounded to 32 bits where they are stored.
@@ -64,7 +65,7 @@ class InterpretedContext(moderngl.Context):
 
     def __init__(self, seed=0, *, warps=False):
         self.chance, self.warps = random.Random(seed), warps
-        self.bindings, self.buffers, self.faults = {}, [], {}
+        self.bindings, self.buffers, self.faults, self.shaders_run = {}, [], {}, set()
         self._commands, self._steps = itertools.count(1), 0
 
     def __del__(self):
@@ -143,6 +144,8 @@ class InterpretedContext(moderngl.Context):
         for name, (binding, _) in program.blocks.items():
             names[name] = self.bindings[binding].memory if binding in self.bindings else Memory(name[2:], 0)
             names[name].name = name[2:]
+        self._check_bindings(program)
+        self.shaders_run.add(program.name)
         exec(program.code, names)
         command, numbers = self.command(), list(itertools.product(*(range(each) for each in groups)))
         self.chance.shuffle(numbers)
@@ -158,6 +161,12 @@ class InterpretedContext(moderngl.Context):
                 threads.append(_Thread(self, who, (local, group, at, groups, size)))
                 threads[-1].running = names["f_main"](threads[-1])
             self._run_group(threads, shared.values())
+
+    def _check_bindings(self, program):
+        blocks = [(name[2:], access, self.bindings.get(binding)) for name, (binding, access) in program.blocks.items()]
+        for (first, a, buffer), (second, b, other) in itertools.combinations(blocks, 2):
+            if buffer is other is not None and not a == b == "readonly":
+                self.report(f"{first} and {second} of {program.name} are one buffer")
 
     def _run_group(self, threads, shared):
         ready = [thread for thread in threads if self._advance(thread, None)]

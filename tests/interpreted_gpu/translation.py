@@ -92,6 +92,7 @@ class _Symbol:
 class Program:
     """A translated shader. `blocks`: binding and access of each storage block; `shared`: words of each variable."""
 
+    name: str
     code: object
     constants: dict
     uniforms: dict
@@ -119,9 +120,9 @@ def _places(text):
     return [f"line {number}" for number in range(1, len(lines) + 1)]
 
 
-def _tokens(text):
+def _tokens(text, places):
     macros, active, found = {}, [], []
-    for line, place in zip(text.split("\n"), [*_places(text), "the end"], strict=False):
+    for line, place in zip(text.split("\n"), [*places, "the end"], strict=False):
         word, _, rest = line.strip().partition(" ")
         rest = rest.partition("//")[0].strip()
         if word in ("#ifdef", "#if"):
@@ -170,7 +171,9 @@ def _holds(condition, macros):
 
 class _Translator:
     def __init__(self, text):
-        self.tokens, self.at = _tokens(text), 0
+        places = _places(text)
+        self.name = places[0].partition(":")[0]
+        self.tokens, self.at = _tokens(text, places), 0
         self.lines, self.depth, self.numbers = [], 0, itertools.count()
         self.codecs, self.functions = dict(CODECS), {}
         self.constants, self.uniforms, self.blocks, self.shared, self.size = {}, {}, {}, {}, (1, 1, 1)
@@ -183,7 +186,7 @@ class _Translator:
         while self.at < len(self.tokens):
             self._declaration()
         code = compile("\n".join(self.lines), "translated shader", "exec")
-        return Program(code, self.constants, self.uniforms, self.blocks, self.shared, self.size)
+        return Program(self.name, code, self.constants, self.uniforms, self.blocks, self.shared, self.size)
 
     # Tokens.
 
@@ -564,10 +567,11 @@ class _Translator:
         if left.type in SCALARS and right.type in SCALARS:
             return self._scalars(sign, left, right)
         if sign == "*" and left.type in MATRICES and right.type not in SCALARS:
-            columns_rows = MATRICES[left.type]
+            rows = MATRICES[left.type][1]
             if right.type in MATRICES:
-                return _Operand(f"mat{MATRICES[right.type][0]}".replace("mat", "mat"), f"({a} * {b})")
-            return _Operand(vector_type("f", columns_rows[1]), f"({a} * {b})")
+                columns = MATRICES[right.type][0]
+                return _Operand(f"mat{rows}" if columns == rows else f"mat{columns}x{rows}", f"({a} * {b})")
+            return _Operand(vector_type("f", rows), f"({a} * {b})")
         if sign == "*" and right.type in MATRICES and left.type in VECTORS:
             return _Operand(vector_type("f", MATRICES[right.type][0]), f"({a} * {b})")
         if sign not in ("+", "-", "*", "/", "&", "|", "^", "<<", ">>"):
