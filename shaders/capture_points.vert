@@ -1,6 +1,7 @@
 #version 430
 // Measured points of a capture (COLMAP, lidar), a few pixels each.
 // In: positions in the capture's world and sRGB colours; a camera with OpenCV axes (x right, y down, z forward).
+// No races: no thread writes but its own vertex, and the depth test decides which of two dots is in front.
 
 uniform mat4 capture_to_camera;
 uniform vec2 focal_px;

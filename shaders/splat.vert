@@ -1,5 +1,6 @@
 #version 430
 // Quads of splats, farthest first, vertex-pulled: 128 of them an instance, four vertices each.
+// No races: buffers are only read, behind a memory barrier after the sort; the next frame writes them behind another one.
 
 #define SPLAT_ACCESS readonly
 #include "common_alpha.glsl"

@@ -13,6 +13,9 @@ from .arguments import JsonFile, write_numbers
 from .display import has_display
 from .installed_extensions import describe, installed_extensions
 
+_FEW_SPLATS, _MANY_SPLATS = (100_000,), (1_000_000, 3_000_000)
+"""Whose order by depth is tested: where a processor executes OpenGL, and on a GPU."""
+
 
 class Finding(NamedTuple):
     """One thing that was looked for."""
@@ -24,9 +27,10 @@ class Finding(NamedTuple):
 
 
 def doctor(*, json: JsonFile = None) -> int:
-    """Look for everything that GSRAIN can use. Exit code 1 when something that it needs is missing."""
+    """Look for everything that GSRAIN can use. Exit code 1 where something needed is missing or wrong."""
     video = _video()
     needed = [_opengl(), _threads()] if is_frozen() else [_opengl(), video, _threads()]
+    tested = find_depth_order()
     optional = [
         *([video] if is_frozen() else []),
         _osmesa(),
@@ -54,12 +58,14 @@ def doctor(*, json: JsonFile = None) -> int:
         _package("protobuf", "Waymo Perception v1 (TFRecord files)", "waymo"),
     ]
     added = [_tried(f"{each.group.noun} {each.name}", partial(describe, each), "") for each in installed_extensions()]
-    for finding in (*needed, *optional, *added):
+    every = (*needed, *tested, *optional, *added)
+    for finding in every:
         missing = "MISSING" if finding in needed else "broken " if finding in added else "absent "
+        missing = "WRONG  " if finding in tested else missing
         mark = "ok     " if finding.found else missing
         print(f"{mark} {finding.name}: {finding.what}")
-    write_numbers(json, {each.name: {"found": each.found, "what": each.what} for each in (*needed, *optional, *added)})
-    return 0 if all(each.found for each in needed) else 1
+    write_numbers(json, {each.name: {"found": each.found, "what": each.what} for each in every})
+    return 0 if all(each.found for each in (*needed, *tested)) else 1
 
 
 def is_frozen() -> bool:
@@ -93,6 +99,34 @@ def _describe_context(source: str) -> str:
     with context:
         kind = "software" if is_software(context) else "GPU"
         return f"{context.info['GL_RENDERER']}, OpenGL {context.version_code / 100:.1f} ({kind})"
+
+
+def find_depth_order() -> list[Finding]:
+    """Test the order of splats by depth that `--backend opengl` makes on a GPU; nothing where there is no OpenGL.
+
+    A wrong order is a wrong picture, and may come from a driver as well as from here. A software rasterizer, which runs
+    threads one after another, sorts a few.
+    """
+    from gsrain_engine.render.context import NoOpenGLError, is_software, open_context
+    from gsrain_engine.render.depth_sort import check_order
+
+    try:
+        context = open_context()
+    except NoOpenGLError:
+        return []
+    name = "order of splats by depth (OpenGL)"
+    try:
+        with context:
+            counts = _FEW_SPLATS if is_software(context) else _MANY_SPLATS
+            checks = [check_order(context, count) for count in counts]
+    except MemoryError as error:
+        return [Finding(name, False, f"not tested: {error}; draw with --backend cpu")]
+    finally:
+        context.release()
+    wrong = [str(check) for check in checks if not check.is_right]
+    if wrong:
+        return [Finding(name, False, f"{'; '.join(wrong)}: pictures are wrong, draw with --backend cpu")]
+    return [Finding(name, True, f"right for {' and '.join(f'{count:,}' for count in counts)} splats, twice the same")]
 
 
 def _video() -> Finding:

@@ -1,10 +1,15 @@
 """Sorts the visible splats by depth on the GPU: a radix sort by reduce, scan and scatter."""
 
+from typing import NamedTuple
+
 import moderngl
+import numpy as np
+from jaxtyping import UInt32
 
 from .growing_buffer import GrowingBuffer
 from .shaders import load_compute_shader
-from .visible_scan import GROUPS_OFFSET
+from .splat_store import NEAR_M
+from .visible_scan import COUNT_OFFSET, GROUPS_OFFSET, WORK_BYTES
 
 KEY_BITS = 28
 DIGIT_BITS = 4
@@ -60,3 +65,62 @@ class DepthSort:
             self._context.memory_barrier()
             here, there = there, here
         return here[1].buffer
+
+
+class OrderCheck(NamedTuple):
+    """The faults of an order of so many splats that a GPU made; all 0 where it is right."""
+
+    splats: int
+    missing: int
+    """Slots that the order does not hold: others are in it twice, or what is no slot."""
+    inversions: int
+    """Neighbors in it of which the second belongs before the first, by key or, of equal keys, by slot."""
+    changed: int
+    """Places that hold another slot when the same keys are sorted a second time."""
+
+    @property
+    def is_right(self) -> bool:
+        """Whether it has no fault."""
+        return not (self.missing or self.inversions or self.changed)
+
+    def __str__(self) -> str:
+        return (
+            f"of {self.splats:,} splats {self.missing:,} are lost, {self.inversions:,} out of order, "
+            f"and {self.changed:,} elsewhere in a second try"
+        )
+
+
+def check_order(context: moderngl.Context, count: int) -> OrderCheck:
+    """Sort so many depths twice on the context, which is current, and compare what comes back with the keys.
+
+    A barrier that a shader or a driver lacks shows as a fault on a GPU, not on a software rasterizer. Raises
+    `MemoryError` where the graphics card has no room for 18 bytes a key.
+    """
+    rng = np.random.default_rng(count)
+    depths_m = (NEAR_M + rng.lognormal(2.0, 1.0, count)).astype(np.float32)
+    depths_m[::2] = np.ceil(depths_m[::2])  # so that many are equal
+    keys, slots = depths_m.view(np.uint32) - np.float32(NEAR_M).view(np.uint32), np.arange(count, dtype=np.uint32)
+    numbers = np.zeros(WORK_BYTES // 4, np.uint32)
+    numbers[COUNT_OFFSET // 4], numbers[GROUPS_OFFSET // 4 :] = count, (-(-count // KEYS_BY_GROUP), 1, 1)
+    work, sorter = context.buffer(numbers), DepthSort(context)
+    sorter.reserve(count)
+    orders: list[UInt32[np.ndarray, " n"]] = []
+    for _ in range(2):
+        for buffer, values in zip(sorter.unsorted, (keys, slots), strict=True):
+            buffer.write(values)
+        orders.append(np.frombuffer(sorter.sort(work).read(4 * count), np.uint32))
+    return order_faults(keys, *orders)
+
+
+def order_faults(
+    keys: UInt32[np.ndarray, " n"], order: UInt32[np.ndarray, " n"], second: UInt32[np.ndarray, " n"]
+) -> OrderCheck:
+    """Count the faults of an order of slots 0 to n - 1, whose keys are given; a second order should be the same."""
+    held = order[order < len(keys)].astype(np.int64)
+    ranks = keys[held].astype(np.int64) * len(keys) + held  # by key, then by slot
+    return OrderCheck(
+        splats=len(keys),
+        missing=len(keys) - len(np.unique(held)),
+        inversions=int(np.count_nonzero(ranks[1:] < ranks[:-1])),
+        changed=int(np.count_nonzero(order != second)),
+    )

@@ -15,6 +15,7 @@ from PIL import Image
 
 from app.command_line import BAD_INPUT, run
 from app.commands import doctor
+from gsrain_engine.render import depth_sort
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
@@ -233,6 +234,29 @@ def test_doctor_finds_what_it_needs(tmp_path, capsys):
         is_there = find_spec(module.partition(".")[0]) is not None and find_spec(module) is not None
         assert found[package]["found"] == is_there
         assert is_there or f"pip install 'gsrain[{extra}]'" in found[package]["what"]
+
+
+def test_doctor_tests_the_order_of_splats(tmp_path, monkeypatch, capsys):
+    """The one that OpenGL makes here; and a wrong one of a GPU, of which it sorts as many as scenes have."""
+    assert run(["doctor", "--json", str(tmp_path / "right.json")]) == 0
+    name = "order of splats by depth (OpenGL)"
+    found = json.loads((tmp_path / "right.json").read_text())[name]
+    assert found == {"found": True, "what": "right for 100,000 splats, twice the same"}
+
+    def wrong(context, count):
+        sorted_counts.append(count)
+        return depth_sort.OrderCheck(count, missing=9_239, inversions=0, changed=12)
+
+    sorted_counts = []
+    monkeypatch.setattr("gsrain_engine.render.context.is_software", lambda context: False)
+    monkeypatch.setattr(depth_sort, "check_order", wrong)
+    capsys.readouterr()
+    assert run(["doctor", "--json", str(tmp_path / "wrong.json")]) == 1
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if name in line]
+    assert line.startswith("WRONG")
+    assert "of 1,000,000 splats 9,239 are lost, 0 out of order, and 12 elsewhere in a second try" in line
+    assert sorted_counts == [1_000_000, 3_000_000]
+    assert not json.loads((tmp_path / "wrong.json").read_text())[name]["found"]
 
 
 def test_doctor_tells_which_lpips_weights_are_of_use(tmp_path, monkeypatch):

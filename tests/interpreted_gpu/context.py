@@ -25,7 +25,7 @@ import numpy as np
 from .translation import ATOMIC, BARRIER, INVOCATION, LOAD, STORE, translate
 from .values import CODECS, RUNTIME, UNDEFINED, Vec, constructed
 
-_MOST_STEPS = 20_000_000
+_MAX_STEPS = 20_000_000
 
 
 class Memory:
@@ -211,7 +211,7 @@ class InterpretedContext(moderngl.Context):
     def _advance(self, thread, value):
         """Run a thread as far as its next access; False where it ends instead."""
         self._steps += 1
-        if self._steps > _MOST_STEPS:
+        if self._steps > _MAX_STEPS:
             raise RuntimeError("the shader does not come to an end")
         try:
             thread.request = thread.running.send(value)

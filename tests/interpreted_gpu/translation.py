@@ -321,8 +321,8 @@ class _Translator:
         self.take("(")
         parameters = []
         while not self.takes(")"):
-            way = self.take() if self.next in ("in", "out", "inout") else "in"
-            parameters.append((way, self.take(), self.take()))
+            direction = self.take() if self.next in ("in", "out", "inout") else "in"
+            parameters.append((direction, self.take(), self.take()))
             self.takes(",")
         self.function = self.functions[name] = _Function(name, kind, parameters)
         self.scopes.append({each: _Symbol(f"p_{each}", type_, "local") for _, type_, each in parameters})
@@ -477,7 +477,7 @@ class _Translator:
                 self._refuse("a case that falls through")
 
     def _return(self, value):
-        outs = [f"p_{name}" for way, _, name in self.function.parameters if way != "in"]
+        outs = [f"p_{name}" for direction, _, name in self.function.parameters if direction != "in"]
         given = "None" if value is None else self._converted(value, self.function.type)
         self.emit(f"return ({', '.join([given, *outs])},)" if outs else f"return {given}")
 
@@ -740,9 +740,9 @@ class _Translator:
 
     def _own_call(self, function, arguments):
         codes, outs = [], []
-        for (way, kind, _), each in zip(function.parameters, arguments, strict=True):
-            codes.append(each.code if way == "out" else self._converted(each, kind))
-            if way != "in":
+        for (direction, kind, _), each in zip(function.parameters, arguments, strict=True):
+            codes.append(each.code if direction == "out" else self._converted(each, kind))
+            if direction != "in":
                 if not each.name or each.path:
                     self._refuse("only a local variable can take a result")
                 outs.append(each.name)

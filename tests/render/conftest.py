@@ -2,7 +2,7 @@
 
 import pytest
 
-from gsrain_engine.render.context import NoOpenGLError, open_context
+from gsrain_engine.render.context import NoOpenGLError, is_software, open_context
 
 
 @pytest.fixture(scope="session")
@@ -22,3 +22,11 @@ def context(shared_context):
         assert shared_context.error == "GL_NO_ERROR"
         yield shared_context
         assert shared_context.error == "GL_NO_ERROR"
+
+
+@pytest.fixture
+def gpu_context(context):
+    """The context where a GPU executes it; what only shows among threads that run at the same time is tested there."""
+    if is_software(context):
+        pytest.skip("needs a GPU: a software rasterizer runs the threads of a workgroup one after another")
+    return context

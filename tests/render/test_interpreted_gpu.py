@@ -136,7 +136,7 @@ def test_one_buffer_for_two_blocks_is_reported():
 
 
 def test_orders_differ_and_come_back_with_their_seed():
-    """Who is last wins: chance decides, and the seed decides chance."""
+    """The last one wins: chance decides, and the seed decides chance."""
 
     def winner(seed):
         return run(InterpretedContext(seed), "void main() { result[0] = gl_LocalInvocationID.x; }")[0]

@@ -182,8 +182,9 @@ def test_a_frame_in_rain_runs_every_shader_without_a_race(context, one_digit):
     assert list(interpreted.faults) == []
     assert results[0] == results[1]
     assert len(results[0][1]) > 30
-    files = {each.name for each in resources.files("shaders").iterdir() if each.name.endswith(".comp")}
-    assert interpreted.shaders_run == files
+    files = {each.name: each for each in resources.files("shaders").iterdir() if each.name.endswith(".comp")}
+    assert interpreted.shaders_run == set(files)
+    assert all("// No races: " in each.read_text() for each in files.values())
 
 
 def test_drops_under_roofs_are_left_out_without_a_race():
