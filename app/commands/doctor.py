@@ -14,7 +14,7 @@ from .display import has_display
 from .installed_extensions import describe, installed_extensions
 
 _FEW_SPLATS, _MANY_SPLATS = (100_000,), (1_000_000, 3_000_000)
-"""Whose order by depth is tested: where a processor executes OpenGL, and on a GPU."""
+"""Splats whose order by depth is tested where a processor executes OpenGL, and on a GPU."""
 
 
 class Finding(NamedTuple):
@@ -110,23 +110,22 @@ def find_depth_order() -> list[Finding]:
     from gsrain_engine.render.context import NoOpenGLError, is_software, open_context
     from gsrain_engine.render.depth_sort import check_order
 
+    def order() -> str:
+        with context:
+            counts = _FEW_SPLATS if is_software(context) else _MANY_SPLATS
+            checks = [check_order(context, count) for count in counts]
+        if wrong := [str(check) for check in checks if not check.is_right]:
+            raise RuntimeError(f"{'; '.join(wrong)}.")
+        return f"right for {' and '.join(f'{count:,}' for count in counts)} splats, twice the same"
+
     try:
         context = open_context()
     except NoOpenGLError:
         return []
-    name = "order of splats by depth (OpenGL)"
     try:
-        with context:
-            counts = _FEW_SPLATS if is_software(context) else _MANY_SPLATS
-            checks = [check_order(context, count) for count in counts]
-    except MemoryError as error:
-        return [Finding(name, False, f"not tested: {error}; draw with --backend cpu")]
+        return [_tried("order of splats by depth (OpenGL)", order, "Pictures may be wrong: draw with --backend cpu")]
     finally:
         context.release()
-    wrong = [str(check) for check in checks if not check.is_right]
-    if wrong:
-        return [Finding(name, False, f"{'; '.join(wrong)}: pictures are wrong, draw with --backend cpu")]
-    return [Finding(name, True, f"right for {' and '.join(f'{count:,}' for count in counts)} splats, twice the same")]
 
 
 def _video() -> Finding:

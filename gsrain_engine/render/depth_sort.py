@@ -80,7 +80,7 @@ class OrderCheck(NamedTuple):
 
     @property
     def is_right(self) -> bool:
-        """Whether it has no fault."""
+        """True where it has no fault."""
         return not (self.missing or self.inversions or self.changed)
 
     def __str__(self) -> str:

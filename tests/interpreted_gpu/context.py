@@ -56,7 +56,7 @@ class _Thread:
 
 
 class InterpretedContext(moderngl.Context):
-    """What the engine needs of a context to run compute shaders.
+    """The part of a context by which the engine runs compute shaders.
 
     Args:
         seed: Of the order in which threads take turns.
