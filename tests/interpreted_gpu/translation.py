@@ -462,8 +462,6 @@ class _Translator:
             self.emit("pass")
             self.switches += 1
             while self.next not in ("case", "default", "}"):
-                if ends and self.next != "}" and self.tokens[self.at - 1].text == "break":
-                    self._refuse("more after a break")
                 if self.next == "break":
                     self.take()
                     self.take(";")
