@@ -14,6 +14,7 @@ from gsrain_engine.session.edits.ego_drive import drive_along, drive_along_own_p
 from gsrain_engine.session.edits.level import level_from_ground
 from gsrain_engine.session.edits.scale import set_camera_height
 
+from ..console import print
 from .arguments import JsonFile, write_numbers
 from .marked import marked, marked_text
 from .orientation import Orientation

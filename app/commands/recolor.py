@@ -4,8 +4,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.open_capture import open_capture
@@ -15,6 +13,7 @@ from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.open_scene import open_scene
 from gsrain_engine.session.jobs.torch_extra import require_torch
 
+from ..console import Console, Table, print
 from .arguments import JsonFile, write_numbers
 from .converted_options import converted_options
 from .outputs import check_scene_folder, check_writable, report_beside

@@ -27,6 +27,7 @@ from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.recording.recorded_project import own_path
 from gsrain_engine.session.view.home_camera import front_camera, home_camera
 
+from ..console import print
 from .arguments import JsonFile, parse_size, write_numbers
 from .orientation import Orientation
 from .progress import followed, progress_bar

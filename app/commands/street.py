@@ -15,6 +15,7 @@ from gsrain_engine.scene.open_scene import cached_street
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
 
+from ..console import print
 from .arguments import JsonFile, write_numbers
 from .progress import progress_bar
 

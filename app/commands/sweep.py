@@ -23,6 +23,7 @@ from gsrain_engine.drive.sweeps.sweep import Sweep, load_sweep, sweep_names
 from gsrain_engine.drive.sweeps.sweep_folder import SweepFolder
 from gsrain_engine.drive.sweeps.table import write_tables
 
+from ..console import print
 from .arguments import JsonFile, write_numbers
 from .outputs import check_writable
 from .progress import followed

@@ -5,13 +5,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.appearance.finetuning.settings_file import finetuning_help, finetuning_names, load_finetuning
 from gsrain_engine.appearance.finetuning.task import TrainingResult, TrainingTask
 from gsrain_engine.session.appearance.transfer_training_work import train_transfer as work
 
+from ..console import Console, Table, print
 from .arguments import JsonFile, write_numbers
 from .outputs import check_writable
 from .progress import followed

@@ -16,6 +16,7 @@ from gsrain_engine.appearance.transfer_record import TransferRecord
 from gsrain_engine.appearance.transferred_folder import check_transferred_folder, write_transferred
 from gsrain_engine.render.pictures import write_sheet
 
+from ..console import print
 from .arguments import JsonFile, write_numbers
 from .outputs import check_writable
 from .progress import progress_bar

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
-from rich.console import Console
 
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.evaluate.detection.detector import Detector, open_detector
 
+from ...console import Console, print
 from ..arguments import JsonFile, write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar

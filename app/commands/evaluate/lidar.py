@@ -7,7 +7,6 @@ from typing import Annotated
 
 import msgspec
 from cyclopts import Parameter
-from rich.console import Console
 
 from gsrain_engine.evaluate.comparison.stamp import stamp
 from gsrain_engine.evaluate.lidar.figure import write_figure
@@ -20,6 +19,7 @@ from gsrain_engine.scene.content_hash import file_hash, scene_hash
 from gsrain_engine.untrusted.explained_errors import converted
 from gsrain_engine.untrusted.plain_values import read_whole, yaml_values
 
+from ...console import Console
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 import msgspec
 from cyclopts import Parameter
 from PIL import Image
-from rich.console import Console
 
 from gsrain_engine.appearance.methods import method_of
 from gsrain_engine.datasets.capture import Capture
@@ -28,6 +27,7 @@ from gsrain_engine.scene.content_hash import scene_hash
 from gsrain_engine.session.jobs.torch_extra import HOW_TO_GET_DIFFUSION, require_torch
 from gsrain_engine.shipped_configs import shipped_names
 
+from ...console import Console, print
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..outputs import check_writable
 from ..progress import followed

@@ -10,6 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
+from gsrain_engine.untrusted.printable import figure_label
+
 from ..road.planar_box import PlanarBox
 from ..road.route import Route
 from ..rollouts.rollout import Rollout, RolloutStep
@@ -66,7 +68,7 @@ def _draw(axes: Axes, rollout: Rollout, route: Route | None) -> None:
     axes.plot(*way.T, color=_EGO, linewidth=1.6, zorder=4, label="ego vehicle, rear axle")
     _tell_times(axes, [(each.time_s, start.from_world(_own_box(rollout, each).corners)) for each in shown])
     _name_users(axes, rollout, start)
-    axes.set_title(_title(rollout) + _mark_collision(axes, rollout, start), loc="left", fontsize=10)
+    axes.set_title(figure_label(_title(rollout)) + _mark_collision(axes, rollout, start), loc="left", fontsize=10)
 
 
 def _title(rollout: Rollout) -> str:
