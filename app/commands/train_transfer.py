@@ -14,6 +14,7 @@ from ..console import Console, Table, print
 from .arguments import JsonFile, write_numbers
 from .outputs import check_writable
 from .progress import followed
+from .trust import Trust, with_trust
 
 _COLUMNS = 110
 
@@ -43,13 +44,13 @@ def train_transfer(
     lpips: Annotated[str | None, Parameter(help=finetuning_help("lpips"))] = None,
     start: Annotated[str | None, Parameter(help=finetuning_help("start"))] = None,
     seed: Annotated[int | None, Parameter(help=finetuning_help("seed"))] = None,
+    trust: Trust = False,
     json: JsonFile = None,
 ) -> None:
     """Fine-tune the transfer on two sets of pictures that show no place twice. Ctrl-C leaves the last checkpoint."""
-    settings = load_finetuning(
-        config, device=device, steps=steps, base=base, clip=clip, lpips=lpips, start=start, seed=seed,
-        clear=_sources(clear), rainy=_sources(rainy),
-    )  # fmt: skip
+    changes = {"device": device, "steps": steps, "base": base, "clip": clip, "lpips": lpips, "start": start}
+    changes |= {"seed": seed, "clear": _sources(clear), "rainy": _sources(rainy)}
+    settings = with_trust(lambda: load_finetuning(config, **changes), trust)
     check_writable(json)
     task = TrainingTask(settings=settings, output=output, resume=resume)
     try:

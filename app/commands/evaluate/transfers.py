@@ -32,6 +32,7 @@ from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..outputs import check_writable
 from ..progress import followed
 from ..sources import names_scene
+from ..trust import Trust, with_trust
 from .run_facts import run_facts, told_facts
 from .transfers_page import print_transfers, transfers_page
 
@@ -49,6 +50,7 @@ def transfers(
     ],
     only: Annotated[str, Parameter(help="Only these of its methods, by name, commas between.")] = "",
     device: Annotated[Literal["cpu", "cuda"], Parameter(help="Where torch computes features.")] = "cpu",
+    trust: Trust = False,
     json: JsonFileOrScreen = None,
 ) -> None:
     """Make the same views rainy by several methods, and compare each with real rainy pictures.
@@ -56,7 +58,7 @@ def transfers(
     FID (or its like) and KID with intervals of 95 %, whether neighbouring views still agree, seconds, and a figure.
     Methods whose pictures stand in DIR, made in the same way, are not run again.
     """
-    told = load_comparison(comparison)
+    told = with_trust(lambda: load_comparison(comparison), trust)
     names = tuple(name.strip() for name in only.split(",") if name.strip())
     told = told.only(names) if names else told
     check_writable(output / "table.md", json)
