@@ -194,7 +194,7 @@ def check_trusted(named_by: str | Path, codes: Iterable[Code]) -> None:
 
 
 def check_named(named_by: str | Path, path: Path, packages: Sequence[str] = ()) -> None:
-    """Raise `UntrustedCodeError` where a file names code that nobody has allowed; what comes there later is checked, too.
+    """Raise `UntrustedCodeError` where a file names code that nobody has allowed; later content is checked, too.
 
     `check_unchanged` does that when it is to run.
     """
