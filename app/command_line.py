@@ -11,6 +11,7 @@ from gsrain_engine.scene.errors import sentence_of
 
 from .commands.arguments import finite, whole_or_else
 from .commands.bench_all import bench_all
+from .commands.outputs import release
 from .commands.view import view
 from .console import Console, console_log, use_any_encoding
 from .installed_evaluations import add_installed_evaluations
@@ -112,6 +113,13 @@ def run(arguments: list[str]) -> int:
     for name in _OURS:  # libraries say what is of use to their makers: which fonts they have found, say
         logging.getLogger(name).setLevel(logging.INFO)
     errors = Console(stderr=True, soft_wrap=True)
+    try:
+        return _run(arguments, errors)
+    finally:
+        release()
+
+
+def _run(arguments: list[str], errors: Console) -> int:
     if (meant := _misspelt(arguments)) is not None:
         errors.print(f"gsrain: {meant}")
         return BAD_INPUT

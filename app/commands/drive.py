@@ -35,7 +35,7 @@ from .converted_options import RAIN_OPTIONS, converted_options
 from .driving.drive_files import DriveFiles, file_word, write_drives
 from .driving.driver_options import DriverOptions
 from .evaluate.run_facts import run_facts, told_facts
-from .outputs import check_writable
+from .outputs import check_writable, hold
 from .progress import progress_bar
 
 DEFAULT_SCENARIO = "stationary-lead"
@@ -92,6 +92,7 @@ def drive(
     files = DriveFiles(folder, frozenset(_words(export)), fps)
     files.check()
     check_writable(folder / "table.csv", json)
+    hold(folder)
     with ExitStack() as stack:
         agents = stack.enter_context(asked.opened())  # before the scene, which takes longer to read
         hashed = scene_hash(test.scene)

@@ -17,6 +17,7 @@ from gsrain_engine.scene.scene import Scene
 
 from ..console import print
 from .arguments import JsonFile, write_numbers
+from .outputs import hold
 from .progress import progress_bar
 
 
@@ -39,6 +40,7 @@ def street(
     scene = cached_street()
     if rig not in scene.rigs:
         raise ValueError(f"--rig {rig}: the street has {', '.join(scene.rigs)}")
+    hold(directory)
     write_scene(scene, directory / "scene")
     print(f"{directory / 'scene'}: {scene.gaussian_count:,} Gaussians, rigs {', '.join(scene.rigs)}")
     if moments:

@@ -26,7 +26,7 @@ from gsrain_engine.scene.trusted_code import check_trusted
 
 from ..console import print
 from .arguments import JsonFile, write_numbers
-from .outputs import check_writable
+from .outputs import check_writable, hold
 from .progress import followed
 from .sweep_table import print_cells
 from .trust import Trust, with_trust
@@ -78,6 +78,7 @@ def sweep(
     share = jobs if shard is None else Shard.parse(shard).of(jobs)
     to_do = [] if summarize_only else folder.to_do(share, retry_failed=retry_failed)
     run = SweepRun(0, 0)
+    hold(folder.path, shared=True)
     if not summarize_only:
         with_trust(lambda: check_trusted(sweep, agent_codes(to_do)), trust)
         folder.describe(told, jobs)

@@ -12,7 +12,7 @@ from gsrain_engine.session.appearance.transfer_training_work import train_transf
 
 from ..console import Console, Table, print
 from .arguments import JsonFile, write_numbers
-from .outputs import check_writable
+from .outputs import check_writable, hold
 from .progress import followed
 from .trust import Trust, with_trust
 
@@ -52,6 +52,7 @@ def train_transfer(
     changes |= {"seed": seed, "clear": _sources(clear), "rainy": _sources(rainy)}
     settings = with_trust(lambda: load_finetuning(config, **changes), trust)
     check_writable(json)
+    hold(output)
     task = TrainingTask(settings=settings, output=output, resume=resume)
     try:
         result = followed(work(task))

@@ -29,7 +29,7 @@ from gsrain_engine.shipped_configs import shipped_names
 
 from ...console import Console, print
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
-from ..outputs import check_writable
+from ..outputs import check_writable, hold
 from ..progress import followed
 from ..sources import names_scene
 from ..trust import Trust, with_trust
@@ -62,6 +62,7 @@ def transfers(
     names = tuple(name.strip() for name in only.split(",") if name.strip())
     told = told.only(names) if names else told
     check_writable(output / "table.md", json)
+    hold(output)
     for each in told.methods:
         if each.method != CLEAR and method_of(each.method).needs_torch:
             require_torch(f"method {each.name!r}", HOW_TO_GET_DIFFUSION)
