@@ -33,7 +33,8 @@ def label(name: str, identity: str = "") -> str:
 
 def visible_name(name: str) -> str:
     """Return a name as the visible part of a label."""
-    return escaped(name).replace("##", "# #").replace("##", "# #")
+    words = escaped(name).replace("##", "# #").replace("##", "# #")
+    return f"{words} " if words.endswith("#") else words  # with the ## behind it, its last sign would be one of three
 
 
 def plain_identity(name: str) -> str:
