@@ -69,7 +69,9 @@ class WordsColumn(ProgressColumn):
 
 def print(*words: object, file: IO[str] | None = None) -> None:
     """Print one line, as the built-in `print` does; what can't be seen is escaped, line breaks in names too."""
-    (sys.stdout if file is None else file).write(escaped(" ".join(map(str, words))) + "\n")
+    stream = sys.stdout if file is None else file
+    if stream is not None:  # pyright: ignore  # it is where a shell has closed it
+        stream.write(escaped(" ".join(map(str, words))) + "\n")
 
 
 def print_lines(text: str, file: IO[str] | None = None) -> None:

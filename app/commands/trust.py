@@ -43,7 +43,7 @@ def with_trust(load: Callable[[], _Result], trust: bool) -> _Result:
 
 def _is_allowed(error: UntrustedCodeError) -> bool:
     """Ask a person in a terminal; the default is no."""
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+    if not all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr)):  # pyright: ignore
         return False
     print(f"{error.named_by} names Python code, which would run with all your rights:", file=sys.stderr)
     for code in error.codes:

@@ -292,6 +292,11 @@ def test_letters_that_an_encoding_lacks(tmp_path, monkeypatch):
     assert (tmp_path / "out").read_text() == "Stra\\xdfe \\udcff\n"
 
 
+def test_a_closed_stream_takes_nothing(monkeypatch):
+    monkeypatch.setattr(sys, "stdout", None)  # as after >&- in a shell
+    print_line("nobody reads it")
+
+
 def test_a_page_names_them_as_they_are():
     table = ReportTable(NAME, ("column",), ((NAME,),))
     report = RunReport(f"<script>{NAME}", {NAME: NAME}, problems=(NAME,), notes=(NAME,), tables=(table,))
