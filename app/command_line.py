@@ -1,19 +1,19 @@
 """The command line: which commands there are, and how bad input ends (one line, exit code 2)."""
 
 import logging
-import sys
 from difflib import get_close_matches
 from importlib import metadata
 from pathlib import Path
 
 from cyclopts import App, CycloptsError, Parameter
-from rich.console import Console
 
 from gsrain_engine.scene.errors import sentence_of
 
 from .commands.arguments import finite, whole_or_else
 from .commands.bench_all import bench_all
+from .commands.outputs import release
 from .commands.view import view
+from .console import Console, console_log, use_any_encoding
 from .installed_evaluations import add_installed_evaluations
 
 BAD_INPUT, INTERRUPTED = 2, 130
@@ -108,10 +108,18 @@ app.command(evaluations)
 
 def run(arguments: list[str]) -> int:
     """Run one command; returns the exit code."""
-    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
+    use_any_encoding()
+    logging.basicConfig(level=logging.WARNING, handlers=[console_log()])
     for name in _OURS:  # libraries say what is of use to their makers: which fonts they have found, say
         logging.getLogger(name).setLevel(logging.INFO)
-    errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+    errors = Console(stderr=True, soft_wrap=True)
+    try:
+        return _run(arguments, errors)
+    finally:
+        release()
+
+
+def _run(arguments: list[str], errors: Console) -> int:
     if (meant := _misspelt(arguments)) is not None:
         errors.print(f"gsrain: {meant}")
         return BAD_INPUT

@@ -19,7 +19,9 @@ from imgui_bundle import glfw_utils
 from gsrain_engine.drive.rollouts.files import ROLLOUT_SUFFIXES
 from gsrain_engine.render.lost_context import LostContextError, check_context, watch, watch_of
 from gsrain_engine.session.preferences.preferences import load_preferences
+from gsrain_engine.untrusted.printable import escaped
 from ui.style import apply_style
+from ui.widgets.names import escape_all_text
 
 from .layout_file import own_layout
 from .restart import Left, start_again
@@ -95,6 +97,7 @@ class Window:
 
     def parameters(self) -> hello_imgui.RunnerParams:
         """What hello_imgui needs to run the window."""
+        escape_all_text()
         parameters = hello_imgui.RunnerParams()
         parameters.app_window_params.window_title = "GSRAIN"
         parameters.app_window_params.window_geometry.size = _SIZE
@@ -222,7 +225,7 @@ class Window:
     def _show_title(self, title: str) -> None:
         if title != self._title:
             self._title = title
-            glfw.set_window_title(glfw_utils.glfw_window_hello_imgui(), title)
+            glfw.set_window_title(glfw_utils.glfw_window_hello_imgui(), escaped(title))
 
     def _draw_viewport(self) -> None:
         if self.workspace is not None:

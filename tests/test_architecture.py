@@ -84,3 +84,36 @@ def test_the_pages_about_the_house_name_every_folder_of_it(page, written):
     folders = [each.parent.name for top in tops for each in top.glob("*/__init__.py")]
     assert len(folders) > 35
     assert [name for name in (*PACKAGES[:2], *folders) if written.format(name, name) not in text] == []
+
+
+_DOOR = "app.console"
+"""All that is printed passes through it: it escapes names, and reads no markup."""
+
+
+def printers(path: Path) -> Iterator[str]:
+    """Everything in a file that prints by another way: rich, the built-in print, the standard streams."""
+    tree = ast.parse(path.read_bytes())
+    own = {each.asname or each.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)
+           for each in node.names if (node.module or "").split(".")[-1] == "console" and node.level}  # fmt: skip
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (each.name for each in node.names if each.name.split(".")[0] == "rich")
+        elif isinstance(node, ast.ImportFrom) and not node.level and (node.module or "").split(".")[0] == "rich":
+            yield str(node.module)
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print":
+            yield from () if "print" in own else ("print",)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).startswith(("sys.stdout.write", "sys.stderr.write")):
+            yield ast.unparse(node.func)
+
+
+def test_one_door_prints():
+    found = {name: list(printers(path)) for name, path in modules().items() if name != _DOOR}
+    assert {name: each for name, each in found.items() if each} == {}
+
+
+def test_other_doors_are_seen(tmp_path):
+    file = tmp_path / "command.py"
+    file.write_text("from rich.table import Table\nimport rich\nprint(1)\nimport sys\nsys.stderr.write('x')\n")
+    assert list(printers(file)) == ["rich.table", "rich", "print", "sys.stderr.write"]
+    file.write_text("from ..console import print\nprint(1)\n")
+    assert list(printers(file)) == []

@@ -7,6 +7,7 @@ from gsrain_engine.session.session import Session
 from .actions import ACTION_GROUPS
 from .actions.action import Action
 from .panel_windows import bring_to_front, panel_windows
+from .widgets.names import label
 
 MENUS = ("File", "Edit", "Select", "Scene", "Rain", "Drive", "Timeline", "View", "Help")
 
@@ -43,7 +44,7 @@ def _recent(session: Session) -> None:
     """Open a scene of last time."""
     if imgui.begin_menu("Open recent", bool(session.files.recent)):
         for path in session.files.recent:
-            if imgui.menu_item(f"{path.name}##{path}", "", False)[0]:
+            if imgui.menu_item(label(path.name, str(path)), "", False)[0]:
                 session.open(str(path))
             imgui.set_item_tooltip(str(path))
         imgui.end_menu()

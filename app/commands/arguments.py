@@ -13,6 +13,8 @@ from cyclopts import Parameter, Token, convert
 
 from gsrain_engine.scene.atomic_files import whole_file
 
+from ..console import print_lines
+
 JsonFile = Annotated[Path | None, Parameter(name="--json", help="Write the reported numbers to this file.")]
 
 JsonFileOrScreen = Annotated[
@@ -71,7 +73,7 @@ def listed(option: str, text: str) -> list[str]:
 def write_numbers(file: Path | None, numbers: Mapping[str, Any]) -> None:
     """Write what a command reports as JSON, if it was asked to; `SCREEN` prints it."""
     if file == SCREEN:
-        print(json.dumps(numbers, indent=1))
+        print_lines(json.dumps(numbers, indent=1))
     elif file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(file) as beside:

@@ -8,8 +8,6 @@ from typing import Annotated, Any, get_args
 
 import msgspec
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.backends import Backend, device_of, open_renderer
 from gsrain_engine.rain.presets import load_preset
@@ -25,6 +23,7 @@ from gsrain_engine.scene.random_scene import is_random_scene, random_scene, rand
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.view.home_camera import default_path
 
+from ..console import Console, Table
 from .arguments import JsonFileOrScreen, listed, parse_size, words_go_to, write_numbers
 from .converted_options import RAIN_OPTIONS, converted_options
 from .progress import progress_bar

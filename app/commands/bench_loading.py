@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.render.machine import machine
 from gsrain_engine.scene.formats.loading_times import WRITTEN, LoadingTimes, time_loading
 
+from ..console import Console, Table
 from .arguments import JsonFileOrScreen, listed, words_go_to, write_numbers
 from .bench import timed_scene
 from .progress import progress_bar

@@ -6,8 +6,6 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.reconstruct.recoloring.recoloring_times import RecoloringTimes, time_recoloring
 from gsrain_engine.reconstruct.recoloring.settings import RecolorSettings
@@ -17,6 +15,7 @@ from gsrain_engine.scene.random_scene import is_random_scene, random_scene_camer
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.view.home_camera import default_path
 
+from ..console import Console, Table
 from .arguments import JsonFileOrScreen, listed, parse_size, words_go_to, write_numbers
 from .bench import timed_scene
 from .progress import progress_bar

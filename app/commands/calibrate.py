@@ -7,8 +7,6 @@ from typing import Annotated, Any
 
 import msgspec
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.rain.calibration import save_calibration
 from gsrain_engine.rain.fitting.calibrate_files import MeasuredFile, calibrate_files, open_measured
@@ -16,6 +14,7 @@ from gsrain_engine.rain.fitting.fit_options import FitOptions
 from gsrain_engine.rain.fitting.plot import check_plot_name, write_plot
 from gsrain_engine.rain.fitting.result import FittedCalibration, FittedRow
 
+from ..console import Console, Table, print
 from .arguments import JsonFile, write_numbers
 from .converted_options import converted_options
 from .progress import progress_bar

@@ -5,8 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from PIL import Image
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.capture_summary import CaptureSummary, summarized
@@ -16,6 +14,7 @@ from gsrain_engine.datasets.overlay import contact_sheet
 from gsrain_engine.datasets.readable_pictures import readable_pictures
 from gsrain_engine.render.pictures import write_sheet
 
+from ..console import Console, Table, print
 from .progress import progress_bar
 
 _NARROWEST = 120

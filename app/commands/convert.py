@@ -14,9 +14,11 @@ from gsrain_engine.session.edits.ego_drive import drive_along, drive_along_own_p
 from gsrain_engine.session.edits.level import level_from_ground
 from gsrain_engine.session.edits.scale import set_camera_height
 
+from ..console import print
 from .arguments import JsonFile, write_numbers
 from .marked import marked, marked_text
 from .orientation import Orientation
+from .outputs import hold
 
 _OWN = "own"
 """A scene's own camera path, where a file could be named."""
@@ -55,6 +57,7 @@ def convert(
     if wetness is not None and not 0 <= wetness <= 1:
         raise ValueError(f"--wetness {wetness:g}: must be within 0..1")
     scene = (orientation or Orientation()).of(open_scene(source))
+    hold(target)
     if level or camera_height is not None:
         scene = level_from_ground(scene)
         up = ", ".join(f"{v:.4g}" for v in scene.up)

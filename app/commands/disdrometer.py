@@ -8,8 +8,6 @@ import msgspec
 import numpy as np
 from cyclopts import Parameter
 from jaxtyping import Float64, Int64
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.rain.counted_drops import CountedDrops
 from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
@@ -18,6 +16,7 @@ from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
 
+from ..console import Console, Table, print
 from .arguments import JsonFile, write_numbers
 from .converted_options import RAIN_OPTIONS, converted_options
 from .progress import progress_bar

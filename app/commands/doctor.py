@@ -9,6 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gsrain_engine.untrusted.printable import printable
+
+from ..console import print
 from .arguments import JsonFile, write_numbers
 from .display import has_display
 from .installed_extensions import describe, installed_extensions
@@ -77,7 +80,7 @@ def _tried(name: str, attempt: Callable[[], str], remedy: str) -> Finding:
     try:
         return Finding(name, True, attempt())
     except Exception as error:  # a missing library fails in its own way: its words are the finding
-        return Finding(name, False, f"{error} {remedy}".strip())
+        return Finding(name, False, f"{printable(error)} {remedy}".strip())
 
 
 def _opengl() -> Finding:

@@ -29,12 +29,13 @@ from gsrain_engine.scene.content_hash import scene_hash
 from gsrain_engine.scene.open_scene import open_to_draw
 from gsrain_engine.scene.scene import Scene
 
+from ..console import print, print_lines
 from .arguments import JsonFile, write_numbers
 from .converted_options import RAIN_OPTIONS, converted_options
 from .driving.drive_files import DriveFiles, file_word, write_drives
 from .driving.driver_options import DriverOptions
 from .evaluate.run_facts import run_facts, told_facts
-from .outputs import check_writable
+from .outputs import check_writable, hold
 from .progress import progress_bar
 
 DEFAULT_SCENARIO = "stationary-lead"
@@ -91,6 +92,7 @@ def drive(
     files = DriveFiles(folder, frozenset(_words(export)), fps)
     files.check()
     check_writable(folder / "table.csv", json)
+    hold(folder)
     with ExitStack() as stack:
         agents = stack.enter_context(asked.opened())  # before the scene, which takes longer to read
         hashed = scene_hash(test.scene)
@@ -112,7 +114,7 @@ def drive(
                 break
         facts = run_facts({})  # the runs name their scene
         written = write_drives(files, runs, opened, renderer if films else None, told_facts(facts))
-    print(results_table(compare(runs)).text)
+    print_lines(results_table(compare(runs)).text)
     if len(rains) > 1:
         for name in [agent.name for agent in agents if not agent.needs.cameras]:
             print(f"{name} looks at no picture: rain changes nothing for it.")

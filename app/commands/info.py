@@ -5,8 +5,6 @@ from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.datasets.open_capture import capture_format
 from gsrain_engine.scene.bounds import bounds
@@ -14,6 +12,7 @@ from gsrain_engine.scene.members import Actor, Layer
 from gsrain_engine.scene.open_scene import open_scene
 from gsrain_engine.scene.scene import Scene
 
+from ..console import Console, Table
 from .arguments import JsonFile, write_numbers
 from .capture_info import capture_info
 from .marked import marked, marked_text

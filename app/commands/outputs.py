@@ -1,8 +1,10 @@
 """What commands write: looked at before the work, for after an hour of it nobody wants to hear that it can't be."""
 
 import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 
+from gsrain_engine.scene.file_lock import holding
 from gsrain_engine.scene.formats.scene_files import names_scene_folder
 
 from .arguments import SCREEN
@@ -16,6 +18,24 @@ def check_scene_folder(output: Path) -> None:
     if output.is_file() or (output.is_dir() and any(output.iterdir()) and not (output / "scene.json").is_file()):
         raise ValueError(f"{output}: expected a new folder, or a scene folder to replace")
     check_writable(output)
+
+
+_held = ExitStack()
+
+
+def hold(*places: Path | None, shared: bool = False) -> None:
+    """Have files and folders that a command will write for this process, until the command ends; None is passed by.
+
+    Raises `HeldError`, which names the process, where another one has one of them; `shared` ones may have it together.
+    """
+    for place in places:
+        if place is not None and place != SCREEN:
+            _held.enter_context(holding(place, shared=shared))
+
+
+def release() -> None:
+    """Let others have all that a command has held."""
+    _held.close()
 
 
 def check_writable(*paths: Path | None) -> None:

@@ -4,12 +4,19 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import TypeVar
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
 from gsrain_engine.kernel_cache import has_any_kernel
 from gsrain_engine.scene.progress import Progress as Step
 from gsrain_engine.scene.progress import finished
+
+from ..console import (
+    BarColumn,
+    Console,
+    MofNCompleteColumn,
+    Progress,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+    WordsColumn,
+)
 
 _Result = TypeVar("_Result")
 _FIRST_TIME = "The first time on a machine, code for its processor is compiled before the first frame: a minute or two."
@@ -21,8 +28,8 @@ def progress_bar(title: str, total: float, *, draws: bool = False) -> Generator[
 
     Where the block `draws`, it is said that the first time on a machine begins with compiling.
     """
-    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
-    with Progress(*columns, TextColumn("ETA"), TimeRemainingColumn(), console=Console(stderr=True)) as bar:
+    columns = [WordsColumn(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
+    with Progress(*columns, WordsColumn("ETA"), TimeRemainingColumn(), console=Console(stderr=True)) as bar:
         if draws and bar.console.is_terminal and not has_any_kernel():
             bar.console.print(_FIRST_TIME)
         task = bar.add_task(title, total=total)
@@ -40,10 +47,10 @@ def progress_bar(title: str, total: float, *, draws: bool = False) -> Generator[
 def followed(work: Generator[Step, None, _Result]) -> _Result:
     """Do a piece of work, show how far it is and what it does, and return what comes out."""
     columns = [
-        TextColumn("{task.description}"),
+        WordsColumn(),
         BarColumn(),
         TimeElapsedColumn(),
-        TextColumn("ETA"),
+        WordsColumn("ETA"),
         TimeRemainingColumn(),
     ]
     console = Console(stderr=True)

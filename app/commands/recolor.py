@@ -4,8 +4,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.open_capture import open_capture
@@ -15,9 +13,10 @@ from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.open_scene import open_scene
 from gsrain_engine.session.jobs.torch_extra import require_torch
 
+from ..console import Console, Table, print
 from .arguments import JsonFile, write_numbers
 from .converted_options import converted_options
-from .outputs import check_scene_folder, check_writable, report_beside
+from .outputs import check_scene_folder, check_writable, hold, report_beside
 from .progress import followed
 
 _COLUMNS = 110
@@ -62,6 +61,7 @@ def recolor(
         replace_clear=replace,
     )  # fmt: skip
     check_scene_folder(output)
+    hold(output)
     page = report_beside(output, report)
     check_writable(page, json)
     if polish or refine:

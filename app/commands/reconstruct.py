@@ -5,14 +5,13 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.reconstruct.training.settings import TrainingSettings, help_of, load_settings, settings_names
 from gsrain_engine.session.jobs.torch_extra import require_torch
 
+from ..console import Console, Table, print
 from .arguments import JsonFile, write_numbers
-from .outputs import check_scene_folder, check_writable, report_beside
+from .outputs import check_scene_folder, check_writable, hold, report_beside
 from .progress import followed
 
 _COLUMNS = 110
@@ -54,6 +53,7 @@ def reconstruct(
         device=device, **_kept_apart(held_out),
     )  # fmt: skip
     check_scene_folder(output)
+    hold(output)
     page = report_beside(output, report)
     check_writable(page, json)
     require_torch("gsrain reconstruct")

@@ -27,8 +27,10 @@ from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.recording.recorded_project import own_path
 from gsrain_engine.session.view.home_camera import front_camera, home_camera
 
+from ..console import print
 from .arguments import JsonFile, parse_size, write_numbers
 from .orientation import Orientation
+from .outputs import hold
 from .progress import followed, progress_bar
 from .render_options import RainOptions, RecordingOptions
 from .rendered_weather import rendered_weather
@@ -88,6 +90,7 @@ def render(
     viewpoint = _viewpoint(opened, camera, camera_path, asked)
     sequences = sequences_of(asked, opened, falling, viewpoint, in_scene_time=is_own_path)
     numbers = _frame_numbers(asked, sequences, duration, frame)
+    hold(*outputs(asked, list(sequences)))
     with open_renderer(backend) as renderer:
         report = _record(renderer, asked, sequences, numbers, look)
         labelled = _label(renderer, labels, asked, sequences, numbers[: report["frames"]])

@@ -15,7 +15,9 @@ from gsrain_engine.scene.open_scene import cached_street
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
 
+from ..console import print
 from .arguments import JsonFile, write_numbers
+from .outputs import hold
 from .progress import progress_bar
 
 
@@ -38,6 +40,7 @@ def street(
     scene = cached_street()
     if rig not in scene.rigs:
         raise ValueError(f"--rig {rig}: the street has {', '.join(scene.rigs)}")
+    hold(directory)
     write_scene(scene, directory / "scene")
     print(f"{directory / 'scene'}: {scene.gaussian_count:,} Gaussians, rigs {', '.join(scene.rigs)}")
     if moments:

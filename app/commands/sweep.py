@@ -17,16 +17,19 @@ from gsrain_engine.drive.sweeps.engine import Engine, HereEngine
 from gsrain_engine.drive.sweeps.expansion import jobs_of
 from gsrain_engine.drive.sweeps.job import Job
 from gsrain_engine.drive.sweeps.local_pool import LocalPool
-from gsrain_engine.drive.sweeps.run import SweepRun, run_sweep
+from gsrain_engine.drive.sweeps.run import SweepRun, agent_codes, run_sweep
 from gsrain_engine.drive.sweeps.shard import Shard
 from gsrain_engine.drive.sweeps.sweep import Sweep, load_sweep, sweep_names
 from gsrain_engine.drive.sweeps.sweep_folder import SweepFolder
 from gsrain_engine.drive.sweeps.table import write_tables
+from gsrain_engine.scene.trusted_code import check_trusted
 
+from ..console import print
 from .arguments import JsonFile, write_numbers
-from .outputs import check_writable
+from .outputs import check_writable, hold
 from .progress import followed
 from .sweep_table import print_cells
+from .trust import Trust, with_trust
 
 SOME_FAILED, INTERRUPTED = 1, 130
 
@@ -55,12 +58,15 @@ def sweep(
         bool, Parameter(negative="", help="Do nothing; write tables and figures of the rows that are there.")
     ] = False,
     backend: Annotated[Backend | None, Parameter(help="What draws; default: as the sweep has it.")] = None,
+    trust: Trust = False,
     json: JsonFile = None,
 ) -> int:
     """Run every combination that a sweep names. Run again, it goes on: jobs with a row are not done twice.
 
     Any number of such commands may work on one folder: with --shard on machines that know nothing of each other. Rows
     say nothing of time or machine; those of equal jobs are equal to the byte. Where one fails, its row has the error.
+
+    Agents in Python files run only with --trust, or once you have said yes to their content in a terminal.
     """
     started = time.perf_counter()
     told = load_sweep(sweep)
@@ -72,7 +78,9 @@ def sweep(
     share = jobs if shard is None else Shard.parse(shard).of(jobs)
     to_do = [] if summarize_only else folder.to_do(share, retry_failed=retry_failed)
     run = SweepRun(0, 0)
+    hold(folder.path, shared=True)
     if not summarize_only:
+        with_trust(lambda: check_trusted(sweep, agent_codes(to_do)), trust)
         folder.describe(told, jobs)
         print(f"{folder.path}: {_count(len(share), 'job')}, {len(share) - len(to_do)} with a row", file=sys.stderr)
         try:

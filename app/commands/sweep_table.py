@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
+from ..console import Console, Table
 
 _COLUMNS = 160
 _SHOWN = {

@@ -5,16 +5,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.appearance.finetuning.settings_file import finetuning_help, finetuning_names, load_finetuning
 from gsrain_engine.appearance.finetuning.task import TrainingResult, TrainingTask
 from gsrain_engine.session.appearance.transfer_training_work import train_transfer as work
 
+from ..console import Console, Table, print
 from .arguments import JsonFile, write_numbers
-from .outputs import check_writable
+from .outputs import check_writable, hold
 from .progress import followed
+from .trust import Trust, with_trust
 
 _COLUMNS = 110
 
@@ -44,14 +44,15 @@ def train_transfer(
     lpips: Annotated[str | None, Parameter(help=finetuning_help("lpips"))] = None,
     start: Annotated[str | None, Parameter(help=finetuning_help("start"))] = None,
     seed: Annotated[int | None, Parameter(help=finetuning_help("seed"))] = None,
+    trust: Trust = False,
     json: JsonFile = None,
 ) -> None:
     """Fine-tune the transfer on two sets of pictures that show no place twice. Ctrl-C leaves the last checkpoint."""
-    settings = load_finetuning(
-        config, device=device, steps=steps, base=base, clip=clip, lpips=lpips, start=start, seed=seed,
-        clear=_sources(clear), rainy=_sources(rainy),
-    )  # fmt: skip
+    changes = {"device": device, "steps": steps, "base": base, "clip": clip, "lpips": lpips, "start": start}
+    changes |= {"seed": seed, "clear": _sources(clear), "rainy": _sources(rainy)}
+    settings = with_trust(lambda: load_finetuning(config, **changes), trust)
     check_writable(json)
+    hold(output)
     task = TrainingTask(settings=settings, output=output, resume=resume)
     try:
         result = followed(work(task))

@@ -16,8 +16,9 @@ from gsrain_engine.appearance.transfer_record import TransferRecord
 from gsrain_engine.appearance.transferred_folder import check_transferred_folder, write_transferred
 from gsrain_engine.render.pictures import write_sheet
 
+from ..console import print
 from .arguments import JsonFile, write_numbers
-from .outputs import check_writable
+from .outputs import check_writable, hold
 from .progress import progress_bar
 from .transfer_options import MethodOptions, ViewOptions
 
@@ -41,6 +42,7 @@ def transfer(
     how.check()
     check_transferred_folder(output)
     check_writable(output, sheet, json)
+    hold(output)
     # Kernels take a second to load: only now, that there is something to do.
     from .transferred_views import source_views
 

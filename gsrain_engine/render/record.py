@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import UInt8
 
+from gsrain_engine.scene.file_lock import holding
 from gsrain_engine.scene.progress import Progress
 
 from .frame import Frame
 from .frame_sink import FrameSink, open_sink
 from .labels import draw_labels, legend
 from .look import Look
-from .recorded_files import recorded_files
+from .recorded_files import outputs, recorded_files
 from .recording import Pass, Recording
 from .renderer import Renderer
 from .sequence import FrameSequence
@@ -38,9 +39,11 @@ def record(
 
     Raises:
         ValueError: For an output that can't be encoded.
-        OSError: When it can't be written; what had been written can be played.
+        OSError: When it can't be written; what had been written can be played. `HeldError` where another process does.
     """
     with ExitStack() as stack:
+        for path in outputs(recording, list(sequences)):
+            stack.enter_context(holding(path))
         takes = _open(recording, sequences, stack)
         yield Progress(0.0, "Looking at the sky")
         sky = next(iter(sequences.values())).sky(renderer)

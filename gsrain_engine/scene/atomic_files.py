@@ -14,7 +14,7 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from .file_lock import locked, locked_if_free
+from .file_lock import holding, locked, locked_if_free
 
 _PART = re.compile(r"\..*\.[0-9a-f]{8}\.part", re.DOTALL)
 """Names that only we give."""
@@ -60,11 +60,17 @@ def whole_file(path: Path) -> Generator[Path]:
 
 
 @contextmanager
-def whole_folder(path: Path) -> Generator[Path]:
+def whole_folder(path: Path, *, shared: bool = False) -> Generator[Path]:
     """Give a new folder beside `path`; it becomes `path`, which may not exist or be empty, once the block has ended.
 
-    Raises `OSError` that names `path` where the disk refuses.
+    Raises `OSError` that names `path` where the disk refuses, and `HeldError` where another process writes it; with
+    `shared`, several may, and the first that is done has it.
     """
+    with holding(path, shared=shared):
+        yield from _renamed_in_the_end(path)
+
+
+def _renamed_in_the_end(path: Path) -> Generator[Path]:
     remove_abandoned(path.parent)
     beside = _beside(path)
     try:

@@ -7,6 +7,7 @@ from datetime import datetime
 from typing import NamedTuple
 
 from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.untrusted.printable import escaped
 
 _logger = logging.getLogger("gsrain")
 
@@ -35,7 +36,7 @@ class LogLines(logging.Handler):
         """Take in a record."""
         details = "".join(traceback.format_exception(*record.exc_info)) if record.exc_info else ""
         at = datetime.fromtimestamp(record.created)
-        self.lines.append(LogLine(record.levelno, record.getMessage(), at, details))
+        self.lines.append(LogLine(record.levelno, escaped(record.getMessage()), at, details))
 
 
 def told(what: str, error: Exception) -> str:

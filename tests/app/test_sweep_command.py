@@ -1,13 +1,21 @@
 """`gsrain sweep` as a person types it."""
 
 import csv
+import io
 import json
+import pickle
+from functools import partial
 
 import pytest
 
 from app.command_line import BAD_INPUT, run
 from app.commands.sweep import SOME_FAILED
 from drive.sweeps.small_sweep import write_road, write_scenario
+from gsrain_engine.drive.sweeps.expansion import jobs_of
+from gsrain_engine.drive.sweeps.sweep import load_sweep
+from gsrain_engine.drive.sweeps.work import do
+from gsrain_engine.scene import trusted_code
+from gsrain_engine.scene.trusted_code import read_code
 
 
 @pytest.fixture
@@ -103,3 +111,78 @@ def test_ctrl_c_says_how_it_goes_on(sweep, tmp_path, capsys, monkeypatch):
     assert run(["sweep", str(sweep), "--workers", "0"]) == command.INTERRUPTED
     assert "stopped with 5 jobs to do; the same command goes on from there" in capsys.readouterr().err
     assert not (tmp_path / "out" / "table.csv").exists()
+
+
+_DRIVER = """
+from pathlib import Path
+from gsrain_engine.drive.agents.constant_velocity import ConstantVelocityAgent
+
+class Mine(ConstantVelocityAgent):
+    name = "mine"
+    def plan(self, observation):
+        Path(__file__).with_name("ran").touch()
+        return super().plan(observation)
+"""
+
+
+@pytest.fixture
+def with_code(sweep, tmp_path, monkeypatch):
+    """A sweep that names a Python file near it, and an empty memory of answers."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.setattr(trusted_code, "_trusted", set())
+    (tmp_path / "mine.py").write_text(_DRIVER)
+    sweep.write_text(sweep.read_text().replace("[constant-velocity, oracle-idm]", "['mine.py:Mine']"))
+    return sweep
+
+
+class _Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def _answer(monkeypatch, words):
+    monkeypatch.setattr("sys.stdin", _Terminal(f"{words}\n"))
+    asked = _Terminal()
+    monkeypatch.setattr("sys.stderr", asked)
+    return asked
+
+
+def test_code_that_a_sweep_names_does_not_run_unasked(with_code, tmp_path, capsys, monkeypatch):
+    command = ["sweep", str(with_code), "--workers", "0"]
+    assert run(command) == BAD_INPUT
+    told = capsys.readouterr().err
+    assert "names Python code" in told and "mine.py (SHA-256" in told and "--trust" in told
+    asked = _answer(monkeypatch, "")  # Enter is no
+    assert run(command) == BAD_INPUT
+    assert "mine.py (SHA-256" in asked.getvalue() and "[y/N]" in asked.getvalue()
+    assert not (tmp_path / "ran").exists() and not (tmp_path / "out").exists()
+
+
+def test_trust_is_for_one_run(with_code, tmp_path, monkeypatch):
+    command = ["sweep", str(with_code), "--workers", "0"]
+    assert run([*command, "--trust"]) == 0
+    assert (tmp_path / "ran").exists() and len(table(tmp_path / "out")) == 4
+    monkeypatch.setattr(trusted_code, "_trusted", set())  # another process
+    assert run(command) == 0  # nothing is left to do, so nothing has to be allowed
+    assert run([*command, "-o", str(tmp_path / "other")]) == BAD_INPUT
+
+
+def test_an_answer_holds_for_this_content(with_code, tmp_path, monkeypatch):
+    _answer(monkeypatch, "yes")
+    assert run(["sweep", str(with_code), "--workers", "0", "--shard", "1/2"]) == 0
+    monkeypatch.undo()
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.setattr(trusted_code, "_trusted", set())
+    assert run(["sweep", str(with_code), "--workers", "0", "--shard", "2/2"]) == 0
+    assert len(table(tmp_path / "out")) == 4
+    (tmp_path / "mine.py").write_text(_DRIVER + "# changed\n")
+    monkeypatch.setattr(trusted_code, "_trusted", set())
+    assert run(["sweep", str(with_code), "--workers", "0"]) == BAD_INPUT
+
+
+def test_a_worker_runs_nothing_that_it_was_not_handed(with_code, tmp_path):
+    (job, *_) = jobs_of(load_sweep(with_code))
+    refused = pickle.loads(pickle.dumps(partial(do, clips=tmp_path / "clips")))(job)
+    assert refused.stops and "names Python code" in refused.error and not (tmp_path / "ran").exists()
+    handed = partial(do, clips=tmp_path / "clips", trusted=(read_code(tmp_path / "mine.py").digest,))
+    assert pickle.loads(pickle.dumps(handed))(job).error is None

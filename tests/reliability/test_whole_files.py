@@ -1,15 +1,23 @@
-"""Files that appear whole: in the place of links, under long names, and what is left of writers that were killed."""
+"""Files that appear whole: behind links, under long names, after killed writers, two writers of one place."""
 
 import errno
+import json
 import os
 import stat
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 
 import pytest
 
+from app.command_line import BAD_INPUT, run
 from gsrain_engine.scene import atomic_files
 from gsrain_engine.scene.atomic_files import whole_file, whole_folder
-from gsrain_engine.scene.file_lock import locked
+from gsrain_engine.scene.file_lock import HeldError, holding, lock_file, locked
+from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.open_scene import open_scene
+from small_scene import small_scene
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs links, permissions and locks as POSIX has them")
 
@@ -109,3 +117,144 @@ def test_an_error_about_another_file_stays_as_it_is(tmp_path):
     with pytest.raises(FileNotFoundError) as caught, whole_file(tmp_path / "out"):
         (tmp_path / "absent").read_text()
     assert caught.value.filename == str(tmp_path / "absent")
+
+
+_HOLDER = """
+import sys
+shared = sys.argv[1:] == ["shared"]
+sys.argv = ["/usr/bin/gsrain", "street", "my out \\x1b[31m"]
+from pathlib import Path
+from gsrain_engine.scene.file_lock import holding
+with holding(Path(sys.stdin.readline().rstrip("\\n")), shared=shared):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@contextmanager
+def another_process(place, *arguments):
+    """A process that says it writes to a place, until the block ends."""
+    command = [sys.executable, "-c", _HOLDER, *arguments]
+    holder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    with holder:
+        holder.stdin.write(f"{place}\n")
+        holder.stdin.flush()
+        assert holder.stdout.readline() == "held\n"
+        yield holder
+
+
+COMMANDS = {
+    "street": ["street", "{out}"],
+    "transfer": ["transfer", "street", "-o", "{out}", "--rain", "5"],
+    "recolor": ["recolor", "street", "--images", "absent", "-o", "{out}"],
+    "reconstruct": ["reconstruct", "absent", "-o", "{out}"],
+    "convert": ["convert", "{scene}", "{out}"],
+    "drive": ["drive", "stationary-lead", "-o", "{out}"],
+    "evaluate detection": ["evaluate", "detection", "--detector", "absent.onnx", "-o", "{out}"],
+    "evaluate lidar": ["evaluate", "lidar", "-o", "{out}"],
+    "evaluate transfers": ["evaluate", "transfers", "{comparison}", "-o", "{out}"],
+    "train-transfer": ["train-transfer", "tiny", "-o", "{out}"],
+    "render, frames": ["render", "{scene}", "-o", "{out}", "--size", "32x24", "--backend", "cpu"],
+    "render, a film": ["render", "{scene}", "-o", "{out}.mp4", "--size", "32x24", "--backend", "cpu"],
+    "sweep": ["sweep", "{sweep}", "-o", "{out}", "--workers", "0"],
+}
+"""Every command that writes a folder."""
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("inputs")
+    write_scene(small_scene(), folder / "scene")
+    (folder / "comparison.yaml").write_text("source: street\nreal: [absent]\nmethods: [{name: one, method: clear}]\n")
+    (folder / "sweep.yaml").write_text(f"kind: render\nscenes: ['{folder / 'scene'}']\nrecording: {{output: a.png}}\n")
+    files = {"scene": "scene", "comparison": "comparison.yaml", "sweep": "sweep.yaml"}
+    return {name: folder / file for name, file in files.items()}
+
+
+def test_the_loser_of_two_commands_says_who_has_the_folder(inputs, tmp_path, capsys):
+    out = tmp_path / "out"
+    with another_process(out) as holder, another_process(f"{out}.mp4") as filming:
+        for name, words in COMMANDS.items():
+            assert run([word.format(out=out, **inputs) for word in words]) == BAD_INPUT, name
+            told = capsys.readouterr().err.splitlines()[-1]
+            pid = filming.pid if "film" in name else holder.pid
+            assert f"process {pid} (gsrain street 'my out \\x1b[31m')" in told and str(out) in told, name
+        assert not out.exists()
+
+
+def test_a_saved_scene_is_refused_too_and_in_the_end_nothing_is_left(tmp_path):
+    write_scene(small_scene("old"), tmp_path / "there")
+    for place in (tmp_path / "new", tmp_path / "there"):
+        with another_process(place) as holder, pytest.raises(HeldError, match=f"process {holder.pid} "):
+            write_scene(small_scene("mine"), place)
+    assert open_scene(str(tmp_path / "there")).name == "old"
+    write_scene(small_scene("mine"), tmp_path / "new")
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["new", "there"]
+
+
+def test_the_lock_of_a_dead_process_is_taken_over(tmp_path):
+    with another_process(tmp_path / "out") as holder:
+        holder.kill()
+        holder.wait()
+        note = json.loads(lock_file(tmp_path / "out").read_text())
+        assert note["pid"] == holder.pid
+        # The number of a process is given to others later: this one is not asked for by it.
+        lock_file(tmp_path / "out").write_text(json.dumps(note | {"pid": os.getpid()}))
+        with holding(tmp_path / "out"):
+            assert json.loads(lock_file(tmp_path / "out").read_text())["pid"] == os.getpid()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_shares_of_a_sweep_hold_a_folder_together(tmp_path):
+    out = tmp_path / "out"
+    with another_process(out, "shared") as holder:
+        with holding(out, shared=True):
+            pass
+        assert lock_file(out).exists()  # the other one still has it
+        with pytest.raises(HeldError), holding(out):
+            pass
+        holder.stdin.close()
+        holder.wait()
+    with holding(out):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_process_may_hold_a_place_twice(tmp_path):
+    with holding(tmp_path / "new" / "out"):
+        with whole_folder(tmp_path / "new" / "out"):
+            pass
+        assert lock_file(tmp_path / "new" / "out").exists()
+    with holding(tmp_path / "other" / "out"):
+        pass
+    assert [each.name for each in tmp_path.iterdir()] == ["new"]  # folders made for a lock alone go with it
+    assert [each.name for each in (tmp_path / "new").iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("kind", ["link", "second name", "pipe", "folder"])
+def test_what_is_no_lock_s_file_is_left_alone(tmp_path, kind):
+    """In a folder of several people anybody can put something in the lock's place."""
+    precious, lock = tmp_path / "precious", lock_file(tmp_path / "out")
+    precious.write_text("precious")
+    make = {"link": lambda: lock.symlink_to(precious), "second name": lambda: lock.hardlink_to(precious),
+            "pipe": lambda: os.mkfifo(lock), "folder": lock.mkdir}  # fmt: skip
+    make[kind]()
+    with holding(tmp_path / "out"):
+        pass
+    assert precious.read_text() == "precious" and (lock.exists() or lock.is_symlink())
+
+
+def test_names_as_long_as_disks_take_can_be_held(tmp_path):
+    places = [tmp_path / ("ä" * 120 + str(number)) for number in range(2)]
+    assert lock_file(places[0]) != lock_file(places[1])
+    for place in places:
+        with holding(place):
+            assert lock_file(place).is_file()
+
+
+def test_a_lock_s_words_that_are_no_note(tmp_path):
+    with another_process(tmp_path / "out"):
+        for text in ("", "[]", '{"pid": 3}', "\xff", "[" * 3000):
+            lock_file(tmp_path / "out").write_text(text, encoding="latin-1")
+            with pytest.raises(HeldError, match="another process is writing it"), holding(tmp_path / "out"):
+                pass

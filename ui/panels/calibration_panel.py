@@ -12,6 +12,7 @@ from gsrain_engine.session.session import Session
 
 from ..widgets.fields import plain_label
 from ..widgets.file_dialogs import ask_what_to_open
+from ..widgets.names import visible_name
 from ..widgets.plots import line, plot, points
 from .rain_panel import WARNING
 
@@ -69,7 +70,7 @@ def _fit(session: Session) -> None:
         imgui.pop_style_color()
     if fitted is None:
         return
-    imgui.separator_text(f"Fitted: {fitted.calibration.name}")
+    imgui.separator_text(visible_name(f"Fitted: {fitted.calibration.name}"))
     imgui.text_wrapped(f"{fitted.records_used:,} of {fitted.records:,} records in {len(fitted.rows)} rows")
     if fitted.rate_check is not None:
         check = fitted.rate_check

@@ -7,6 +7,7 @@ from gsrain_engine.session.capture.view_pictures import THUMBNAIL_PX, Wish
 from gsrain_engine.session.session import Session
 
 from ..widgets.colors import BACKGROUND, DIM, TEXT, color
+from ..widgets.names import label
 from .capture_dialogs import ask_for_capture_file, ask_for_capture_folder
 from .matching_fields import matching_fields
 from .rain_panel import WARNING
@@ -170,7 +171,7 @@ def _row(session: Session, capture: Capture, index: int, height: float) -> None:
     captures, view = session.captures, capture[index]
     at = imgui.get_cursor_screen_pos()
     flags = imgui.SelectableFlags_.allow_double_click
-    if imgui.selectable(f"##view {view.name}", captures.chosen == index, flags, ImVec2(0, height))[0]:
+    if imgui.selectable(label("", f"view {view.name}"), captures.chosen == index, flags, ImVec2(0, height))[0]:
         captures.chosen = index
         if imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
             captures.look_from(session, index)

@@ -4,6 +4,8 @@ from imgui_bundle import imgui
 
 from gsrain_engine.session.session import Session
 
+from ..widgets.names import label
+
 
 class _Seen:
     """The step that the list was last scrolled to."""
@@ -15,11 +17,11 @@ def history_panel(session: Session) -> None:
     """Draw the panel."""
     history = session.history
     chosen = None
-    for number, label in enumerate(history.labels):
+    for number, step in enumerate(history.labels):
         is_undone = number > history.cursor
         if is_undone:
             imgui.push_style_color(imgui.Col_.text, imgui.get_style_color_vec4(imgui.Col_.text_disabled))
-        if imgui.selectable(f"{label}##{number}", number == history.cursor)[0]:
+        if imgui.selectable(label(step, str(number)), number == history.cursor)[0]:
             chosen = number
         if is_undone:
             imgui.pop_style_color()

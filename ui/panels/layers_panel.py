@@ -11,6 +11,7 @@ from gsrain_engine.session.edits import layers
 from gsrain_engine.session.session import Session
 
 from ..widgets.fields import end_gesture_when_released, plain_label
+from ..widgets.names import plain_identity, visible_name
 
 _ICONS = icons_fontawesome_6
 _ICON_EM = 1.3
@@ -96,7 +97,9 @@ def _icon(icon: str, name: str, help_text: str, *, bright: bool) -> bool:
     imgui.push_style_color(imgui.Col_.button, (0.0, 0.0, 0.0, 0.0))
     imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(1, imgui.get_style().frame_padding.y))
     imgui.push_style_var(imgui.StyleVar_.frame_border_size, 0.0)
-    clicked = imgui.button(f"{icon}###{name.replace('/', ' ')}", ImVec2(_ICON_EM * imgui.get_font_size(), 0))
+    clicked = imgui.button(
+        f"{icon}###{plain_identity(name.replace('/', ' '))}", ImVec2(_ICON_EM * imgui.get_font_size(), 0)
+    )
     imgui.pop_style_var(2)
     imgui.pop_style_color(2)
     imgui.set_item_tooltip(help_text)
@@ -107,7 +110,7 @@ def _name(session: Session, member: Layer | Actor) -> None:
     key = member.key
     is_chosen = session.view.member == key or key in _marked.keys
     drop = "" if member.wet_sh is None else f" {_ICONS.ICON_FA_DROPLET}"
-    words = f"{member.name}{drop}###{key.replace('/', ' ')}"
+    words = f"{visible_name(member.name)}{drop}###{plain_identity(key.replace('/', ' '))}"
     imgui.align_text_to_frame_padding()
     clicked, _ = imgui.selectable(words, is_chosen, imgui.SelectableFlags_.allow_double_click)
     kind = f"actor, {member.class_name}" if isinstance(member, Actor) else member.kind

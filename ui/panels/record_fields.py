@@ -9,6 +9,7 @@ from gsrain_engine.render.recording import LARGEST_PX, USUAL_QUALITY, Codec, Pas
 from gsrain_engine.session.session import Session
 
 from ..widgets.fields import FieldInfo, field_info, plain_label
+from ..widgets.names import label, visible_name
 
 _FORMATS: dict[str, Codec] = {
     "MP4 (H.264)": "h264",
@@ -92,12 +93,13 @@ def camera_field(session: Session) -> None:
     if imgui.selectable(_PATH, not wanted)[0]:
         session.recorder.change(cameras=())
     for rig, mounted in session.scene.rigs.items():
-        imgui.separator_text(rig)
-        if len(mounted) > 1 and imgui.selectable(f"all of {rig}", wanted == (rig,))[0]:
+        imgui.separator_text(visible_name(rig))
+        if len(mounted) > 1 and imgui.selectable(label(f"all of {rig}"), wanted == (rig,))[0]:
             session.recorder.change(cameras=(rig,))
         for camera in mounted:
             name = f"{rig}/{camera.name}"
-            if imgui.selectable(f"{camera.name}  ({camera.width} x {camera.height})##{name}", wanted == (name,))[0]:
+            words = label(f"{camera.name}  ({camera.width} x {camera.height})", name)
+            if imgui.selectable(words, wanted == (name,))[0]:
                 session.recorder.change(cameras=(name,))
     if len(session.scene.rigs) > 1:
         imgui.separator()

@@ -10,6 +10,7 @@ from gsrain_engine.session.drive.wanted_drive import WantedDrive
 
 from ..widgets.fields import field_info, plain_label
 from ..widgets.file_dialogs import ask_where_to_save
+from ..widgets.names import visible_name
 from ..widgets.struct_fields import edited
 
 _Settings = TypeVar("_Settings", bound=msgspec.Struct)
@@ -28,7 +29,9 @@ def scenario_fields(wanted: WantedDrive) -> None:
     wanted.change(scenario)
     for number, user in enumerate(wanted.scenario.road_users):
         imgui.push_id(number)
-        if imgui.tree_node_ex(f"{user.id}: {_kind(user.behaviour)}###user", imgui.TreeNodeFlags_.default_open):
+        if imgui.tree_node_ex(
+            f"{visible_name(user.id)}: {_kind(user.behaviour)}###user", imgui.TreeNodeFlags_.default_open
+        ):
             wanted.change_user(number, _user(user))
             imgui.tree_pop()
         imgui.pop_id()

@@ -8,6 +8,8 @@ from gsrain_engine.session.selection import steps
 from gsrain_engine.session.selection.combine import Mode
 from gsrain_engine.session.session import Session
 
+from ..widgets.names import label
+
 _SIGNS: dict[Mode, tuple[str, str]] = {
     "set": (icons_fontawesome_6.ICON_FA_ARROW_POINTER, "Select the Gaussians of this set."),
     "add": (icons_fontawesome_6.ICON_FA_PLUS, "Add the Gaussians of this set."),
@@ -68,7 +70,7 @@ def _name(session: Session, name: str) -> None:
     options = session.selecting
     if options.renamed_set != name:
         imgui.align_text_to_frame_padding()
-        imgui.selectable(name, False)
+        imgui.selectable(label(name), False)
         imgui.set_item_tooltip(f"{name}: double-click to rename.")
         if imgui.is_item_hovered() and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
             options.renamed_set = options.new_name = name

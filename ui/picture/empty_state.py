@@ -5,6 +5,7 @@ from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 from gsrain_engine.session.session import Session
 
 from ..actions import ACTIONS
+from ..widgets.names import label
 
 _WIDTH_EM = 30.0
 _OFFERED = ("Open...", "Open the built-in street")
@@ -28,7 +29,9 @@ def empty_state(session: Session, corner: ImVec2, width: int, height: int) -> No
         if recent:
             imgui.separator_text("Recent")
         for path in recent:
-            if imgui.button(f"{icons_fontawesome_6.ICON_FA_CLOCK_ROTATE_LEFT}  {path.name}##{path}", ImVec2(-1, 0)):
+            if imgui.button(
+                label(f"{icons_fontawesome_6.ICON_FA_CLOCK_ROTATE_LEFT}  {path.name}", str(path)), ImVec2(-1, 0)
+            ):
                 session.open(str(path))
             imgui.set_item_tooltip(str(path))
     imgui.end_child()

@@ -14,6 +14,8 @@ from gsrain_engine.drive.agents.registry import AgentOptions, agent_names, defau
 from gsrain_engine.drive.scenario.scenario import Scenario
 from gsrain_engine.scene.scene import Scene
 
+from ...console import print
+
 HUGSIM = "hugsim"
 """Not in the registry: it takes a folder of pipes, and changes scene and scenario."""
 

@@ -9,7 +9,6 @@ import numpy as np
 from cyclopts import Parameter
 from jaxtyping import UInt8
 from PIL import Image
-from rich.console import Console
 
 from gsrain_engine.evaluate.comparison.stamp import stamp
 from gsrain_engine.evaluate.consistency.folders import ComparedViews, open_compared
@@ -19,6 +18,7 @@ from gsrain_engine.evaluate.report.report_file import write_report
 from gsrain_engine.render.pictures import write_sheet
 from gsrain_engine.scene.content_hash import file_hash
 
+from ...console import Console, print
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar

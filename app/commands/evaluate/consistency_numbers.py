@@ -4,12 +4,11 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
 from gsrain_engine.evaluate.consistency.folders import ComparedViews
 from gsrain_engine.evaluate.consistency.pairs import PairAgreement
 from gsrain_engine.evaluate.consistency.warp_error import Agreement, WarpError, pooled
+
+from ...console import Console, Table, bold
 
 _LEVELS = 255
 _MOST_ROWS = 40
@@ -93,14 +92,14 @@ def print_agreements(
     table = Table(*names, *(["LPIPS before", "after", "ratio"] if with_lpips else []), box=None)
     for each, rows in zip(compared, results, strict=True):
         table.add_section()
-        table.add_row(f"[bold]{each.title}")
+        table.add_row(bold(each.title))
         for row in _worst(rows):
             cells = [row.of, row.to, f"{row.matched_share:.0%}"]
             table.add_row(*cells, *_cells(row.everywhere, row.outside_film, with_lpips))
         everywhere, dry = _means(rows)
         if everywhere is not None:
             mean = f"mean of {len(rows)} pairs" + (f", above the {_MOST_ROWS} worst" if len(rows) > _MOST_ROWS else "")
-            table.add_row(f"[bold]{mean}", "", "", *_cells(everywhere, dry, with_lpips))
+            table.add_row(bold(mean), "", "", *_cells(everywhere, dry, with_lpips))
     console.print(table)
     console.print(
         "Errors of the neighbour warped onto the view, in levels of 255; dry: share of the matched pixels that lies "

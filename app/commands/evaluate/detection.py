@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
-from rich.console import Console
 
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.evaluate.detection.detector import Detector, open_detector
 
+from ...console import Console, print
 from ..arguments import JsonFile, write_numbers
-from ..outputs import check_writable
+from ..outputs import check_writable, hold
 from ..progress import progress_bar
 from .detection_memory import opened_memory
 from .detection_numbers import detection_numbers, print_scores
@@ -87,6 +87,7 @@ def detection(
     intensities = _intensities(rain)
     _check(seeds=seeds, frames=frames, width=width, first=first, last=last)
     check_writable(output, video, json)
+    hold(output, video)
     detectors = _detectors(detector, description)
     asked = DetectionSource(source, capture, truth, frames, first, last, tuple(_words(cameras)), width, wet)
     rainfall = base_rain(preset, exposure)

@@ -9,6 +9,7 @@ from gsrain_engine.evaluate.detection.detector import Detector
 from gsrain_engine.evaluate.detection.finished import FINISHED_FILE, Finished
 from gsrain_engine.scene.content_hash import file_hash
 
+from ...console import print
 from .detection_numbers import package_versions
 from .detection_source import PreparedSource
 

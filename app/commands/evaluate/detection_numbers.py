@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.evaluate.detection.detector import Detector
 from gsrain_engine.evaluate.detection.robustness import Robustness
@@ -27,6 +25,7 @@ from gsrain_engine.evaluate.detection.summary import (
 from gsrain_engine.evaluate.detection.sweep import Judgement, Row, rows_of
 from gsrain_engine.evaluate.detection.truth import LEAST_HEIGHT_PX, LEAST_VISIBILITY
 
+from ...console import Console, Table
 from .detection_source import PreparedSource
 from .run_facts import version_of
 

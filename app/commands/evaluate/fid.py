@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.open_capture import open_capture
@@ -21,6 +19,7 @@ from gsrain_engine.evaluate.distribution.feature_cache import FeatureCache
 from gsrain_engine.evaluate.report.report_file import write_report
 from gsrain_engine.evaluate.report.run_report import ReportTable, RunReport
 
+from ...console import Console, Table, bold, print
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar
@@ -147,11 +146,11 @@ def _print(rows: Sequence[DistributionDistance], console: Console) -> None:
         table.add_row(
             _short(row.fake),
             row.metric,
-            f"[bold]{row.frechet:.4g}",
+            bold(f"{row.frechet:.4g}"),
             _range(row.frechet_interval),
             f"{row.same.mean:.4g} ({_range(row.same.interval)})",
             row.kernel_metric,
-            f"[bold]{1000 * row.kernel:.4g}",
+            bold(f"{1000 * row.kernel:.4g}"),
             _range(Interval(1000 * row.kernel_interval.low, 1000 * row.kernel_interval.high)),
             str(row.real_pictures),
             str(row.fake_pictures),

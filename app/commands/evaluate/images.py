@@ -9,8 +9,6 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 from jaxtyping import Bool, UInt8
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.datasets.capture import View
 from gsrain_engine.datasets.files.picture_file import read_labels
@@ -24,6 +22,7 @@ from gsrain_engine.evaluate.report.comparison import Comparison, Distance
 from gsrain_engine.evaluate.report.report_file import write_report
 from gsrain_engine.evaluate.report.run_report import RunReport
 
+from ...console import Console, Table, bold, print
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar
@@ -131,7 +130,7 @@ def _print(rows: Sequence[Comparison], means: dict[str, MeanInterval], console: 
         cells = [f"{row.psnr_db:.2f}", f"{row.ssim:.4f}", *([] if row.lpips is None else [f"{row.lpips:.4f}"])]
         table.add_row(row.name, *cells)
     told = f"mean of {len(rows)}" + (f", above the {_MOST_ROWS} worst" if len(rows) > _MOST_ROWS else "")
-    table.add_row(f"[bold]{told}", *(f"[bold]{each.mean:.4g}" for each in means.values()))
+    table.add_row(bold(told), *(bold(f"{each.mean:.4g}") for each in means.values()))
     table.add_row("95 % of such means", *(f"{each.low:.4g} to {each.high:.4g}" for each in means.values()))
     console.print(table)
 

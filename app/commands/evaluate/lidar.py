@@ -7,7 +7,6 @@ from typing import Annotated
 
 import msgspec
 from cyclopts import Parameter
-from rich.console import Console
 
 from gsrain_engine.evaluate.comparison.stamp import stamp
 from gsrain_engine.evaluate.lidar.figure import write_figure
@@ -20,8 +19,9 @@ from gsrain_engine.scene.content_hash import file_hash, scene_hash
 from gsrain_engine.untrusted.explained_errors import converted
 from gsrain_engine.untrusted.plain_values import read_whole, yaml_values
 
+from ...console import Console
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
-from ..outputs import check_writable
+from ..outputs import check_writable, hold
 from ..progress import progress_bar
 from ..sources import names_scene
 from .lidar_numbers import lidar_report, print_lidar, write_lidar_table
@@ -78,6 +78,7 @@ def lidar(
         if value is not None and not 0 < value <= most:
             raise ValueError(f"{name} {value:g}: must be within 0..{most:g}")
     check_writable(output / "lidar.png", json)
+    hold(output)
     chosen = _sensor(sensor, range_10, least_reflectance)
     count, turns = _turns(source, chosen, sweeps, reflectance, full_intensity, told_range=range_10 is None)
     by_intensity: dict[float, list[RunCounts]] = {}

@@ -9,13 +9,13 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.evaluate.lidar.runs import RunCounts
 from gsrain_engine.evaluate.lidar.sensor import LidarSensor
 from gsrain_engine.evaluate.lidar.tally import Tally
 from gsrain_engine.scene.atomic_files import whole_file
+
+from ...console import Console, Table
 
 _FEWEST = 20
 _COUNTED = ("clear", "kept", "dropped", "masked", "false")

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.datasets.rainsense.sequence import RainSequence, find_rain_sequences
 from gsrain_engine.evaluate.rain_over_picture import Window
@@ -17,6 +15,7 @@ from gsrain_engine.evaluate.real_rain import Comparison, Measured, above_horizon
 from gsrain_engine.evaluate.streak_statistics import ANGLE_EDGES_DEG, LENGTH_EDGES_PX
 from gsrain_engine.rain.rain import Rain
 
+from ...console import Console, Table
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..converted_options import converted_options
 from ..progress import progress_bar

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 import msgspec
 from cyclopts import Parameter
 from PIL import Image
-from rich.console import Console
 
 from gsrain_engine.appearance.methods import method_of
 from gsrain_engine.datasets.capture import Capture
@@ -28,10 +27,12 @@ from gsrain_engine.scene.content_hash import scene_hash
 from gsrain_engine.session.jobs.torch_extra import HOW_TO_GET_DIFFUSION, require_torch
 from gsrain_engine.shipped_configs import shipped_names
 
+from ...console import Console, print
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
-from ..outputs import check_writable
+from ..outputs import check_writable, hold
 from ..progress import followed
 from ..sources import names_scene
+from ..trust import Trust, with_trust
 from .run_facts import run_facts, told_facts
 from .transfers_page import print_transfers, transfers_page
 
@@ -49,6 +50,7 @@ def transfers(
     ],
     only: Annotated[str, Parameter(help="Only these of its methods, by name, commas between.")] = "",
     device: Annotated[Literal["cpu", "cuda"], Parameter(help="Where torch computes features.")] = "cpu",
+    trust: Trust = False,
     json: JsonFileOrScreen = None,
 ) -> None:
     """Make the same views rainy by several methods, and compare each with real rainy pictures.
@@ -56,10 +58,11 @@ def transfers(
     FID (or its like) and KID with intervals of 95 %, whether neighbouring views still agree, seconds, and a figure.
     Methods whose pictures stand in DIR, made in the same way, are not run again.
     """
-    told = load_comparison(comparison)
+    told = with_trust(lambda: load_comparison(comparison), trust)
     names = tuple(name.strip() for name in only.split(",") if name.strip())
     told = told.only(names) if names else told
     check_writable(output / "table.md", json)
+    hold(output)
     for each in told.methods:
         if each.method != CLEAR and method_of(each.method).needs_torch:
             require_torch(f"method {each.name!r}", HOW_TO_GET_DIFFUSION)

@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 
 import msgspec
-from rich.console import Console
-from rich.table import Table
 
 from gsrain_engine.evaluate.comparison.run import ComparisonResult
 from gsrain_engine.evaluate.comparison.settings import ComparedMethod, Comparison
 from gsrain_engine.evaluate.report.run_report import Figure, ReportTable, RunReport
+
+from ...console import Console, Table, bold
 
 _WITHOUT_CAMERAS = "Nobody knows where these pictures were taken: whether views agree with each other is not measured."
 
@@ -58,7 +58,7 @@ def print_transfers(result: ComparisonResult, console: Console) -> None:
     for row in result.rows:
         values = {name: _cell(value) for name, value in row.values.items()}
         frechet, kernel_value = (
-            (f"[bold]{values[name]}", f"{values[f'{name} low']} to {values[f'{name} high']}")
+            (bold(values[name]), f"{values[f'{name} low']} to {values[f'{name} high']}")
             for name in (distance.metric, kernel)
         )
         agreement = (values[name] for name in ("error after", "ratio", "per contrast", "dry ratio", "seconds"))

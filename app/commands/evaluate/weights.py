@@ -8,6 +8,7 @@ from cyclopts import Parameter
 from gsrain_engine.evaluate.lpips_weights import read_lpips_weights
 from gsrain_engine.evaluate.weight_file import hash_of, write_arrays
 
+from ...console import print
 from ..outputs import check_writable
 
 _Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write: .safetensors, or .npz.")]

@@ -17,6 +17,7 @@ from jaxtyping import UInt8
 
 from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights
 from gsrain_engine.render.pictures import write_picture
+from gsrain_engine.scene.file_lock import holding
 from gsrain_engine.scene.progress import Progress
 
 from .checkpoints import Checkpoint, FinetuningCheckpointError, read_checkpoint, write_checkpoint
@@ -60,7 +61,13 @@ def finetune(task: TrainingTask, perceptual: Perceptual | None = None) -> Genera
         ValueError: Where what is there doesn't fit, or the folder holds another training.
         DivergedError: Where the training has come apart.
         MemoryError: Where the device has too little.
+        HeldError: Where another process writes into the folder.
     """
+    with holding(task.output):
+        return (yield from _finetuned(task, perceptual))
+
+
+def _finetuned(task: TrainingTask, perceptual: Perceptual | None) -> Generator[Progress, None, TrainingResult]:
     yield Progress(0.0, "Looking through the pictures")
     split = open_pictures(task.settings.pictures, task.pictures_cache)
     for line in (*split.counted(), *split.problems):

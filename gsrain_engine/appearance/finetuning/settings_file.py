@@ -5,6 +5,7 @@ from typing import Any, get_type_hints
 
 import msgspec
 
+from gsrain_engine.appearance.normals.dsine_checkout import check_checkout, checkout_code
 from gsrain_engine.shipped_configs import load_values, shipped_names
 from gsrain_engine.untrusted.explained_errors import converted
 
@@ -19,7 +20,8 @@ def load_finetuning(name: str | Path, **changes: Any) -> FinetuningSettings:
     """Read settings, and change some; changes that are None are passed over.
 
     Files that it names are looked for in its own folder first, then in the working folder. Raises ValueError with the
-    file or option, the field and what is allowed.
+    file or option, the field and what is allowed; `UntrustedCodeError` where they name a program that no person has
+    allowed to run.
     """
     values = load_values(_FOLDER, name, "settings", _FILES)
     changed = {key: value for key, value in changes.items() if value is not None}
@@ -27,9 +29,20 @@ def load_finetuning(name: str | Path, **changes: Any) -> FinetuningSettings:
         sources = {look: changed.pop(look) for look in ("clear", "rainy") if look in changed}
         values["pictures"] = pictures | sources
     try:
-        return converted(values | changed, FinetuningSettings)
+        settings: FinetuningSettings = converted(values | changed, FinetuningSettings)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
+    check_checkout(name, settings.pictures.normals, settings.pictures.normals_checkout)
+    return settings
+
+
+def code_of(settings: FinetuningSettings) -> dict[str, str]:
+    """Digests of the Python that settings name, by its absolute path: for the process that runs it."""
+    pictures = settings.pictures
+    if pictures.normals != "dsine" or pictures.normals_checkout is None:
+        return {}
+    code = checkout_code(Path(pictures.normals_checkout))
+    return {str(code.path): code.digest}
 
 
 def finetuning_help(name: str) -> str:

@@ -29,6 +29,8 @@ class TrainingTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """Folder for weights, checkpoint, losses and samples."""
     resume: bool = False
     """Whether to go on from the folder's checkpoint."""
+    code: dict[str, str] = {}
+    """Digests of Python programs that the settings name, by path: a person has allowed these."""
 
     @property
     def weights(self) -> Path:

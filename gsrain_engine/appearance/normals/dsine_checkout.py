@@ -1,8 +1,5 @@
 """Builds DSINE's module from a copy of its program, on any device and without a download."""
 
-import sys
-from collections.abc import Generator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
@@ -10,18 +7,34 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from gsrain_engine.scene.trusted_code import Code, check_named, check_unchanged, importable, read_code
+
 _PACKAGES = ("models", "utils")
 """What its files import by such common names that they must not stay importable."""
+
+
+def checkout_code(checkout: Path) -> Code:
+    """Read the program: all Python that its files import from the checkout."""
+    return read_code(checkout, _PACKAGES)
+
+
+def check_checkout(named_by: str | Path, normals: str, checkout: Path | str | None) -> None:
+    """Raise `UntrustedCodeError` where the settings of a file would run a program that no person has allowed."""
+    if normals == "dsine" and checkout is not None:
+        check_named(named_by, Path(checkout), _PACKAGES)
 
 
 def dsine_module(checkout: Path, estimates_uncertainty: bool = False) -> Any:
     """Return DSINE without weights, as `torch.nn.Module`, from either layout that its repository has had.
 
-    Raises ValueError where the folder is something else, or `geffnet` is not installed.
+    Raises ValueError where the folder is something else, `geffnet` is not installed, or a file has named it and no
+    person has allowed its content.
     """
     if not any((checkout / "models" / file).is_file() for file in ("dsine.py", "dsine/v02.py")):
         raise ValueError(f"{checkout}: not DSINE's program: it has neither models/dsine/v02.py nor models/dsine.py")
-    with _importable(checkout):
+    code = checkout_code(checkout)
+    check_unchanged(code)
+    with importable(code):
         try:
             return _built(checkout, estimates_uncertainty)
         except ModuleNotFoundError as error:
@@ -80,17 +93,3 @@ def _without_pretrained_encoder(program: Any) -> None:
 
 def _created(create: Any, name: str, pretrained: bool = True) -> Any:
     return create(name, pretrained=False)
-
-
-@contextmanager
-def _importable(checkout: Path) -> Generator[None]:
-    """Let its files import each other by their names, and leave no trace of these names behind."""
-    kept = {name: sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] in _PACKAGES}
-    sys.path.insert(0, str(checkout))
-    try:
-        yield
-    finally:
-        sys.path.remove(str(checkout))
-        for name in [name for name in sys.modules if name.split(".")[0] in _PACKAGES]:
-            del sys.modules[name]
-        sys.modules.update(kept)

@@ -1,11 +1,12 @@
 """An agent from a Python file of one's own: `my_driver.py`, or `my_driver.py:NAME` for one of several in it."""
 
-import importlib.util
 import inspect
 import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+
+from gsrain_engine.scene.trusted_code import Code, check_trusted, read_code, run_main
 
 from .agent import Agent
 
@@ -19,16 +20,30 @@ def agent_file(name: str) -> Path | None:
     return Path(place) if place.endswith(_SUFFIX) else None
 
 
-def agent_in_file(name: str, options: Any) -> Agent:
+def agent_code(name: str) -> Code | None:
+    """Read the file that an agent's name means, with what it imports near it; None where it is the name of a known one.
+
+    Raises ValueError where there is no such file.
+    """
+    path = agent_file(name)
+    if path is None:
+        return None
+    if not path.is_file():
+        raise ValueError(f"agent {name}: no such file")
+    return read_code(path)
+
+
+def agent_in_file(name: str, options: Any, *, trusted_only: bool = False) -> Agent:
     """Run a person's file and make the agent in it.
 
     `FILE.py` has one class with the methods of an agent; `FILE.py:NAME` names a class, or a function that returns an
-    agent. `options` (`AgentOptions`) are given to what takes an argument. Raises ValueError in one sentence.
+    agent. `options` (`AgentOptions`) are given to what takes an argument. With `trusted_only`, for names out of files,
+    nothing runs that no person has allowed. Raises ValueError in one sentence.
     """
     path = agent_file(name)
     assert path is not None
     wanted = name[len(str(path)) + 1 :] if not name.endswith(_SUFFIX) else ""
-    module = _module(path, name)
+    module = _module(path, name, trusted_only)
     maker = _named(module, name, wanted) if wanted else _only_class(module, name)
     try:
         agent = maker(options) if _takes_one(maker) else maker()
@@ -39,22 +54,18 @@ def agent_in_file(name: str, options: Any) -> Agent:
     return agent
 
 
-def _module(path: Path, name: str) -> ModuleType:
-    if not path.is_file():
-        raise ValueError(f"agent {name}: no such file")
-    spec = importlib.util.spec_from_file_location(f"gsrain_agent_{path.stem}", path)
-    if spec is None or spec.loader is None:
-        raise ValueError(f"agent {name}: not a Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[module.__name__] = module  # dataclasses look there
+def _module(path: Path, name: str, trusted_only: bool) -> ModuleType:
+    code = agent_code(name)
+    assert code is not None
     folder = str(path.absolute().parent)
-    if folder not in sys.path:
-        sys.path.insert(0, folder)  # files beside it can be imported, as when Python runs it
+    if trusted_only:
+        check_trusted(f"agent {name}", [code])
+    elif folder not in sys.path:
+        sys.path.insert(0, folder)  # whatever is near it can be imported, as when Python runs it
     try:
-        spec.loader.exec_module(module)
+        return run_main(code, f"gsrain_agent_{path.stem}")
     except Exception as error:
         raise ValueError(f"agent {name}: {_where(error, path)}{error or type(error).__name__}") from error
-    return module
 
 
 def _where(error: BaseException, path: Path) -> str:

@@ -60,14 +60,16 @@ def agent_names() -> list[str]:
     return [*_SHIPPED, *(each.name for each in extensions(AGENTS) if each.name not in _SHIPPED)]
 
 
-def open_agent(name: str, options: AgentOptions | None = None) -> Agent:
+def open_agent(name: str, options: AgentOptions | None = None, *, trusted_only: bool = False) -> Agent:
     """Make an agent ready: one of `agent_names`, or the one in a file of one's own (`my_driver.py`).
+
+    With `trusted_only`, for names that come out of files, a Python file runs only if a person has allowed its content.
 
     Raises ValueError for an unknown name, where what it needs is missing, and where an installed one fails.
     """
     options = options or AgentOptions()
     if agent_file(name) is not None:
-        return agent_in_file(name, options)
+        return agent_in_file(name, options, trusted_only=trusted_only)
     if name in _SHIPPED:
         return _SHIPPED[name](options)
     if (installed := extension(AGENTS, name)) is not None:

@@ -10,6 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
+from gsrain_engine.untrusted.printable import figure_label
+
 from ..road.planar_box import PlanarBox
 from ..road.route import Route
 from ..rollouts.rollout import Rollout, RolloutStep
@@ -66,7 +68,8 @@ def _draw(axes: Axes, rollout: Rollout, route: Route | None) -> None:
     axes.plot(*way.T, color=_EGO, linewidth=1.6, zorder=4, label="ego vehicle, rear axle")
     _tell_times(axes, [(each.time_s, start.from_world(_own_box(rollout, each).corners)) for each in shown])
     _name_users(axes, rollout, start)
-    axes.set_title(_title(rollout) + _mark_collision(axes, rollout, start), loc="left", fontsize=10)
+    title = figure_label(_title(rollout) + _mark_collision(axes, rollout, start))
+    axes.set_title(title, loc="left", fontsize=10)
 
 
 def _title(rollout: Rollout) -> str:
@@ -149,8 +152,8 @@ def _name_users(axes: Axes, rollout: Rollout, start: VehicleState) -> None:
     for name, box in last.items():
         corners = start.from_world(box.corners)
         axes.annotate(
-            name, (corners[:, 0].mean(), corners[:, 1].max()), (0, 3), textcoords="offset points", ha="center",
-            va="bottom", fontsize=8, color=_OTHER,
+            figure_label(name), (corners[:, 0].mean(), corners[:, 1].max()), (0, 3), textcoords="offset points",
+            ha="center", va="bottom", fontsize=8, color=_OTHER,
         )  # fmt: skip
 
 

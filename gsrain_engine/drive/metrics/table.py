@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gsrain_engine.evaluate.mean_interval import MeanInterval
+from gsrain_engine.untrusted.printable import escaped
 
 from .comparison import Comparison, WeatherRuns
 
@@ -32,7 +33,7 @@ class ResultsTable:
     @property
     def text(self) -> str:
         """The table and its definitions, in columns of characters."""
-        lines = [self.columns, *self.rows]
+        lines = [self.columns, *(tuple(map(escaped, row)) for row in self.rows)]
         widths = [max(len(line[i]) for line in lines) for i in range(len(self.columns))]
         is_word = [each in _WORDS for each in self.columns]
         shown = [
@@ -115,4 +116,4 @@ def _definitions(comparisons: Sequence[Comparison], has_seeds: bool) -> tuple[st
 
 
 def _plain(cell: str) -> str:
-    return cell.replace("|", "\\|")
+    return escaped(cell).replace("|", "\\|")

@@ -20,7 +20,7 @@ from .workbench import Workbench
 def do_drive(job: DriveJob, bench: Workbench) -> Outcome:
     """Drive from start to end. Raises whatever the scenario, the scene or the agent has against it."""
     scene = bench.scene(job.scene, job.scene_hash)
-    agent = open_agent(job.agent.name, _options(job.agent))
+    agent = open_agent(job.agent.name, _options(job.agent), trusted_only=True)
     try:
         renderer = bench.renderer(job.backend) if agent.needs.cameras else None
         simulation = Simulation(job.scenario, scene, agent.needs, renderer, job.seed)

@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from gsrain_engine.rain.rain import CALIBRATED_UP_TO_MM_H
+from gsrain_engine.untrusted.printable import figure_label
 
 from .summary import Cell, Spread
 
@@ -48,7 +49,8 @@ def scenario_figure(cells: Sequence[Cell]) -> UInt8[np.ndarray, "h w 3"]:
         _dress(panel, title, cells, is_lowest=number >= columns)
     runs = sorted({cell.runs for cell in cells})
     seeds = f"{runs[0]}" if len(runs) == 1 else f"{runs[0]} to {runs[-1]}"
-    figure.suptitle(f"{cells[0].scenario} in {PurePath(cells[0].scene).name}: {seeds} drives a point", fontsize=11)
+    title = f"{cells[0].scenario} in {PurePath(cells[0].scene).name}: {seeds} drives a point"
+    figure.suptitle(figure_label(title), fontsize=11)
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside lower center", frameon=False, fontsize=9,
         ncols=min(len(agents), 4),
@@ -64,7 +66,7 @@ def _curve(
     points = [(cell.intensity_mm_h, spread) for cell in cells if (spread := value(cell)) is not None]
     x = [each + aside for each, _ in points]
     spreads = [each for _, each in points]
-    panel.plot(x, [each.mean for each in spreads], "o-", color=color, label=label, ms=4)
+    panel.plot(x, [each.mean for each in spreads], "o-", color=color, label=figure_label(label), ms=4)
     if len(points) > 1:
         panel.fill_between(x, [s.low for s in spreads], [s.high for s in spreads], color=color, alpha=0.15, lw=0)
     for at, each in zip(x, spreads, strict=True):

@@ -33,7 +33,7 @@ def do_render(job: RenderJob, bench: Workbench, clips: Path) -> Outcome:
     clips.mkdir(parents=True, exist_ok=True)
     if not place.is_dir():
         try:
-            with whole_folder(place) as beside:
+            with whole_folder(place, shared=True) as beside:
                 _record(job, scene, bench, beside)
         except OSError:
             if not place.is_dir():  # else another sweep has put the same clip there meanwhile

@@ -3,12 +3,14 @@
 from collections.abc import Generator, Sequence
 from contextlib import closing
 from functools import partial
-from typing import NamedTuple, cast
+from typing import NamedTuple, TypeGuard, cast
 
 from gsrain_engine.scene.progress import Progress
+from gsrain_engine.scene.trusted_code import Code, check_trusted
 
+from ..agents.agent_file import agent_code, agent_file
 from .engine import Engine
-from .job import Job
+from .job import DriveJob, Job
 from .outcome import Outcome
 from .sweep_folder import SweepFolder
 from .work import do
@@ -29,14 +31,18 @@ def run_sweep(jobs: Sequence[Job], engine: Engine, folder: SweepFolder) -> Gener
     Closing the generator, or an error, stops what is under way; every row that was written stays.
 
     Raises:
+        UntrustedCodeError: Before anything runs, for agents' Python files that no person has allowed.
         OSError: When a row can't be written, or a worker says that nothing can be.
     """
     by_id = {job.id: job for job in jobs}
     done = failed = 0
     if not jobs:
         return SweepRun(0, 0)
+    codes = agent_codes(jobs)
+    check_trusted(folder.path, codes)
     yield Progress(0.0, "Starting workers")
-    outcomes = cast(Generator[Outcome], engine.outcomes(partial(do, clips=folder.clips.absolute()), jobs))
+    work = partial(do, clips=folder.clips.absolute(), trusted=tuple(each.digest for each in codes))
+    outcomes = cast(Generator[Outcome], engine.outcomes(work, jobs))
     with closing(outcomes):
         for outcome in outcomes:
             job = by_id[outcome.id]
@@ -50,6 +56,16 @@ def run_sweep(jobs: Sequence[Job], engine: Engine, folder: SweepFolder) -> Gener
             counted = f"{done} of {len(jobs)}" + (f", {failed} failed" if failed else "")
             yield Progress(done / len(jobs), f"{counted}: {_described(job, outcome)}")
     return SweepRun(done, failed)
+
+
+def agent_codes(jobs: Sequence[Job]) -> list[Code]:
+    """Read the Python files that jobs name as agents, each once; raises ValueError where one is not there."""
+    names = {job.agent.name.rpartition(".py")[0] + ".py" for job in jobs if _has_own_agent(job)}
+    return [code for name in sorted(names) if (code := agent_code(name)) is not None]
+
+
+def _has_own_agent(job: Job) -> TypeGuard[DriveJob]:
+    return isinstance(job, DriveJob) and agent_file(job.agent.name) is not None
 
 
 def _described(job: Job, outcome: Outcome) -> str:

@@ -25,7 +25,8 @@ def finish_sweep(sweep: Sweep, folder: Path, engine: Engine | None = None) -> Ge
         The numbers of `summary.json`.
 
     Raises:
-        ValueError: For settings of which there are no jobs.
+        ValueError: For settings of which there are no jobs, and `UntrustedCodeError` for agents in Python files that
+            no person has allowed: `trusted_code.remember` allows them.
         OSError: When a row can't be written.
     """
     kept, jobs = SweepFolder(folder), jobs_of(sweep)

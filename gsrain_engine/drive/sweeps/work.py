@@ -5,9 +5,12 @@ import os
 import platform
 import threading
 import time
+from collections.abc import Collection
 from pathlib import Path
 
 from msgspec import structs
+
+from gsrain_engine.scene.trusted_code import UntrustedCodeError, trust
 
 from .drive_work import do_drive
 from .job import DriveJob, Job
@@ -22,17 +25,21 @@ _ONE_AT_A_TIME = threading.Lock()
 """Compiled kernels use all threads of a process: two jobs in one would only wait for each other."""
 
 
-def do(job: Job, clips: Path) -> Outcome:
-    """Do a job; what it raises becomes the outcome's error. `clips` is where clips go."""
+def do(job: Job, clips: Path, trusted: Collection[str] = ()) -> Outcome:
+    """Do a job; what it raises becomes the outcome's error.
+
+    `clips` is where clips go; `trusted` are digests of the agents' code that a person has allowed.
+    """
     started = time.perf_counter()
     with _ONE_AT_A_TIME:
         try:
+            trust(trusted)
             _check_program(job)
             bench = workbench()
             bench.check_files(job.files)
             outcome = do_drive(job, bench) if isinstance(job, DriveJob) else do_render(job, bench, clips)
         except Exception as error:
-            stops = isinstance(error, MismatchError) or _is_full(error)
+            stops = isinstance(error, MismatchError | UntrustedCodeError) or _is_full(error)
             outcome = Outcome(id=job.id, error=_sentence(error), stops=stops)
     values = {**outcome.values, "software": ", ".join(f"{name} {each}" for name, each in software().items())}
     return structs.replace(

@@ -8,6 +8,7 @@ from msgspec import Meta, Struct
 
 from gsrain_engine.appearance.finetuning.pictures.settings import PictureSettings
 from gsrain_engine.appearance.methods import method_names
+from gsrain_engine.appearance.normals.dsine_checkout import check_checkout
 from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.appearance.views.choice import ViewChoice
 from gsrain_engine.scene.open_scene import STREET
@@ -106,7 +107,8 @@ def load_comparison(name: str | Path) -> Comparison:
     """Read a comparison from a file, or a shipped one by its name.
 
     Files that it names are looked for in its own folder first, then in the working folder. Raises ValueError, which
-    names the file, the field, and what would be right.
+    names the file, the field, and what would be right; `UntrustedCodeError` where it names a program that no person has
+    allowed to run.
     """
     values = load_values(SHIPPED, name, "comparison", _FILES, {STREET})
     try:
@@ -116,6 +118,8 @@ def load_comparison(name: str | Path) -> Comparison:
     problem = _problem(comparison)
     if problem is not None:
         raise ValueError(f"{name}: {printable(problem)}")
+    for each in (*comparison.methods, *([comparison.pictures] if comparison.pictures is not None else [])):
+        check_checkout(name, each.normals, each.normals_checkout)
     return comparison
 
 

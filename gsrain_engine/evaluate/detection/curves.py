@@ -12,6 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from gsrain_engine.untrusted.printable import figure_label
+
 from .summary import Spread, WeatherScore
 from .sweep import Row
 
@@ -68,7 +70,9 @@ def precision_figure(scores: Sequence[WeatherScore]) -> Figure:
             for each in own:
                 if each not in drawn:
                     value = getattr(each, number).mean
-                    panel.plot([0], [value], "x", color=colors(place), label=f"{detector}, pictures as taken")
+                    panel.plot(
+                        [0], [value], "x", color=colors(place), label=figure_label(f"{detector}, pictures as taken")
+                    )
         _dress(panel, "", _WORDS[number])
     panels[0].legend(frameon=False, fontsize=8)
     return figure
@@ -120,7 +124,9 @@ def _everything(panel: Axes, rows: Sequence[Row], number: str) -> None:
         intensities, spreads = _over_seeds(_one_without_rain(own), number)
         many = len({row.object for row in own})
         label = f"mean of {many} {name}{'s' if many > 1 else ''}"
-        panel.plot(intensities, [each.mean for each in spreads], style, color="black", linewidth=1.6, label=label)
+        panel.plot(
+            intensities, [each.mean for each in spreads], style, color="black", linewidth=1.6, label=figure_label(label)
+        )
 
 
 def _one_without_rain(lines: Sequence[_Line]) -> list[_Line]:
@@ -140,11 +146,13 @@ def _over_seeds(rows: Sequence[Row], number: str) -> tuple[list[float], list[Spr
 def _band(panel: Axes, x: Sequence[float], spreads: Sequence[Spread], color: object, label: str) -> None:
     lows, highs = [each.low for each in spreads], [each.high for each in spreads]
     panel.fill_between(x, lows, highs, color=color, alpha=0.18, linewidth=0)
-    panel.plot(x, [each.mean for each in spreads], "o-", color=color, markersize=3.5, linewidth=1.4, label=label)
+    panel.plot(
+        x, [each.mean for each in spreads], "o-", color=color, markersize=3.5, linewidth=1.4, label=figure_label(label)
+    )
 
 
 def _dress(panel: Axes, title: str, words: str) -> None:
-    panel.set_title(title, fontsize=10)
+    panel.set_title(figure_label(title), fontsize=10)
     panel.set_xlabel("rain intensity (mm/h)")
     panel.set_ylabel(words)
     panel.set_ylim(-0.02, 1.02)

@@ -1,10 +1,12 @@
 """Curves as SVG, in the colours of the page that they stand in."""
 
+import html
 from collections.abc import Iterator
-from html import escape
 
 import numpy as np
 from jaxtyping import Float64
+
+from gsrain_engine.untrusted.printable import escaped
 
 WIDTH, HEIGHT = 520, 260
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 14, 14, 40
@@ -12,6 +14,11 @@ _POINTS = 240
 """More points than this are drawn as the mean and the span of groups of neighbours."""
 
 _STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
+
+
+def escape(text: str, quote: bool = True) -> str:
+    """Return text as a page shows it: no tags, no references, and nothing that can't be seen."""
+    return html.escape(escaped(text), quote)
 
 
 def chart(

@@ -1,12 +1,11 @@
 """The page of a run as HTML: what came of it first, how it was made last."""
 
 from collections.abc import Iterable, Mapping
-from html import escape
 from importlib.resources import files
 
 import numpy as np
 
-from .charts import chart, number
+from .charts import chart, escape, number
 from .comparison import Comparison
 from .pictures import LARGEST_ERROR, color_bar, drawing, error_picture, photograph
 from .run_report import Curve, Figure, ReportTable, RunReport

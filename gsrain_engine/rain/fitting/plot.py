@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.untrusted.printable import figure_label
 
 from ..calibration import Interval, atlas_velocity, load_calibration
 from ..drop_sizes import LARGEST_MM, SMALLEST_MM, DropSizes
@@ -64,7 +65,7 @@ def draw_calibration(fitted: FittedCalibration) -> Figure:
         axes.set_title("")
         axes.spines[["top", "right"]].set_visible(False)
         axes.tick_params(labelsize=8)
-    figure.suptitle(_headline(fitted), fontsize=11)
+    figure.suptitle(figure_label(_headline(fitted)), fontsize=11)
     return figure
 
 

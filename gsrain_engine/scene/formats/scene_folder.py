@@ -10,7 +10,7 @@ import msgspec
 
 from ..atomic_files import sync, telling_of, whole_file, whole_folder
 from ..errors import SceneFormatError
-from ..file_lock import locked
+from ..file_lock import holding, locked
 from ..gaussians import Gaussians
 from ..members import Actor, Layer
 from ..scene import Scene
@@ -98,9 +98,10 @@ def write_scene_folder(
     killed has left there. Other files in it stay. Files that `known` says to hold the very same Gaussians stay where
     they are; with `linking`, those of other folders get a second name here instead of being written again.
 
-    One process writes at a time; others wait.
+    One process writes at a time.
 
     Raises:
+        HeldError: When another process writes it, or has said that it will.
         SceneFormatError: When something that is no scene folder, or one of a newer program, is in the way; or when the
             scene has values that could not be read again.
         OSError: When it can't be written; what was there is as before.
@@ -113,7 +114,7 @@ def write_scene_folder(
             placed = writer.write(beside, set())
         placed = [(contents, folder / file.relative_to(beside)) for contents, file in placed]
     else:
-        with locked(folder), telling_of(folder, folder):
+        with holding(folder), locked(folder), telling_of(folder, folder):
             old = _replaceable_files(folder)
             placed = writer.write(folder, old)
             for file in (old | _leftovers(folder)) - {file for _, file in placed}:

@@ -8,11 +8,14 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct
 
 from gsrain_engine.appearance.finetuning.settings import FinetuningSettings
-from gsrain_engine.appearance.finetuning.settings_file import load_finetuning
+from gsrain_engine.appearance.finetuning.settings_file import code_of, load_finetuning
 from gsrain_engine.appearance.finetuning.task import TrainingTask
+from gsrain_engine.scene.trusted_code import UntrustedCodeError, remember
+from gsrain_engine.untrusted.printable import printable
 
 from ..desk import Desk
 from ..jobs.torch_extra import HOW_TO_GET_DIFFUSION, has_torch
+from ..questions import Answer, Question, nothing
 from .transfer_training import TransferTraining
 
 logger = logging.getLogger("gsrain")
@@ -75,12 +78,28 @@ class TransferStudio:
             return
         try:
             task = self._task(resume=resume)
+        except UntrustedCodeError as error:
+            self._ask(session, error, resume)
+            return
         except (ValueError, OSError) as error:
             session.problem = str(error)
             logger.error("%s", error)
             return
         self.job = TransferTraining(task, self._files)
         session.start(self.job)
+
+    def _ask(self, session: Desk, error: UntrustedCodeError, resume: bool) -> None:
+        """Ask whether the Python that the settings name may run; yes is remembered for its content, and begins."""
+
+        def run() -> None:
+            remember(error.codes)
+            self.start(session, resume=resume)
+
+        listed = "\n".join(f"{printable(each.path)}\nSHA-256 {each.digest}" for each in error.codes)
+        text = f"{printable(error.named_by)} names Python code, which would run with all your rights:\n\n{listed}"
+        no = Answer("Don't run it", nothing, "Nothing is begun.")
+        yes = Answer("Run it", run, "Runs it now, and does not ask again for these very contents.")
+        session.questions.ask(Question("Run Python code?", text, (no, yes, Answer("Cancel", nothing))))
 
     def _task(self, *, resume: bool) -> TrainingTask:
         choice = self.choice
@@ -89,4 +108,4 @@ class TransferStudio:
         for look, path in (("clear", choice.clear), ("rainy", choice.rainy)):
             changes[look] = None if path is None else [{"path": str(path)}]
         settings: FinetuningSettings = load_finetuning(choice.config, **changes)
-        return TrainingTask(settings=settings, output=choice.output, resume=resume)
+        return TrainingTask(settings=settings, output=choice.output, resume=resume, code=code_of(settings))

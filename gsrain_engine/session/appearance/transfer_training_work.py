@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gsrain_engine.scene.progress import Progress
+from gsrain_engine.scene.trusted_code import expect
 
 from ..jobs.torch_extra import HOW_TO_GET_DIFFUSION, require_torch
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 def train_transfer(task: "TrainingTask") -> "Generator[Progress, None, TrainingResult]":
     """Fine-tune as a task says. Yields and raises as `finetune` does, and ValueError where torch is missing."""
     require_torch("training the transfer", HOW_TO_GET_DIFFUSION)
+    expect(task.code)
     from gsrain_engine.appearance.finetuning.finetune import finetune
     from gsrain_engine.appearance.finetuning.start import chosen_device
     from gsrain_engine.evaluate.lpips_loss import lpips_loss

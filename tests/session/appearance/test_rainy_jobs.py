@@ -13,10 +13,11 @@ from gsrain_engine.appearance.finetuning.task import TrainingTask
 from gsrain_engine.appearance.transfer_settings import TransferSettings
 from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
 from gsrain_engine.reconstruct.recoloring.recolored_file import read_recolored
+from gsrain_engine.scene import trusted_code
 from gsrain_engine.scene.formats.scene_folder import write_scene_folder
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.appearance import transfer_training
+from gsrain_engine.session.appearance import transfer_studio, transfer_training
 from gsrain_engine.session.appearance.previewed_view import PreviewedView, Recipe
 from gsrain_engine.session.appearance.rainy_scene_job import TITLE
 from gsrain_engine.session.appearance.transfer_work import TransferOrder, make_rainy, preview_view
@@ -189,3 +190,30 @@ def test_settings_that_are_wrong_are_told_and_nothing_starts(session, studio, tm
     studio.start(session)
     assert session.jobs == []
     assert "own.yaml" in session.problem
+
+
+def test_a_program_that_the_settings_name_is_asked_about(session, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.setattr(trusted_code, "_trusted", set())
+    monkeypatch.setattr(transfer_studio, "has_torch", lambda: True)
+    started = []
+    monkeypatch.setattr(transfer_studio, "TransferTraining", lambda task, files: started.append(task))
+    monkeypatch.setattr(Session, "start", lambda self, job: None)
+    (tmp_path / "DSINE" / "models").mkdir(parents=True)
+    (tmp_path / "DSINE" / "models" / "dsine.py").write_text("DSINE = 1\n")
+    text = "pictures: {clear: [{path: a}], rainy: [{path: b}], normals: dsine, normals_checkout: DSINE}\n"
+    (tmp_path / "own.yaml").write_text(text)
+    session.studio.choice = msgspec.structs.replace(
+        session.studio.choice, config=str(tmp_path / "own.yaml"), output=tmp_path / "run"
+    )
+    for label, count in (("Don't run it", 0), ("Cancel", 0), ("Run it", 1)):
+        session.studio.start(session)
+        question = session.questions.present
+        assert "own.yaml names Python code" in question.text and str(tmp_path / "DSINE") in question.text
+        assert question.answers[0].label == "Don't run it"  # what Enter means
+        session.questions.answer(next(each for each in question.answers if each.label == label))
+        assert len(started) == count
+    assert list(started[0].code) == [str(tmp_path / "DSINE")]
+    monkeypatch.setattr(trusted_code, "_trusted", set())  # the next window
+    session.studio.start(session)
+    assert session.questions.present is None and len(started) == 2

@@ -6,6 +6,7 @@ from gsrain_engine.session.camera_path import edits, files
 from gsrain_engine.session.session import Session
 
 from ...widgets.file_dialogs import ask_what_to_open, ask_where_to_save
+from ...widgets.names import label
 from .widgets import icon_button
 
 _FRAME_RATES = (10.0, 24.0, 25.0, 30.0, 50.0, 60.0)
@@ -63,7 +64,7 @@ def _drives(session: Session) -> None:
         imgui.set_item_tooltip("Fly as a camera of the recording vehicle did. This scene has no such vehicle.")
         return
     for number, camera in enumerate(cameras):
-        if imgui.begin_menu(f"{camera.name}##{number}"):
+        if imgui.begin_menu(label(camera.name, str(number))):
             if _item("Few keys", "As few keys as stay within 5 cm and half a degree of the drive."):
                 files.path_from_drive(session, camera)
             for seconds in (0.5, 1.0, 2.0):

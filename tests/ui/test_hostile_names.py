@@ -1,0 +1,56 @@
+"""Names out of files in the window: none hides a part of itself, is taken for another, or ends the window."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from small_scene import small_scene
+from ui.widgets import names
+from window_driver import Driver
+
+NAMES = ("a##hidden", "b##hidden", "c###same", "d###same", "%s%n%d", "##", "[/x]\x1b[\u202e\nline", "\udcff no text")
+
+
+def test_layers_cameras_steps_and_files(tmp_path, monkeypatch):
+    scene = small_scene("scene \udcff\u202e")
+    layers = tuple(replace(scene.layers[0], name=name) for name in NAMES)
+    rigs = {f"rig {name}": tuple(replace(each, name=name) for each in scene.rigs["one"]) for name in NAMES}
+    driver = Driver(tmp_path, replace(scene, layers=layers, rigs=rigs))
+    chosen = []
+
+    def script():
+        session = driver.session
+        session.problem = f"{NAMES[-1]}: can't be opened"
+        for name in NAMES:
+            session.set_scene(f"Rename {name}", replace(session.scene, name=name))
+        for window in ("Layers", "History", "Log", "Record"):
+            driver.ctx.window_focus(f"//{window}")
+            driver.frames(2)
+        driver.ctx.window_focus("//Layers")
+        for layer in session.scene.layers[:4]:  # those that are in sight
+            driver.ctx.item_click(f"//Layers/**/###{names.plain_identity(layer.key.replace('/', ' '))}")
+            driver.frames(2)
+            chosen.append(session.view.member)
+
+    driver.run(script)
+    assert chosen == [f"layers/{name}" for name in NAMES[:4]]
+    assert driver.window.failure is None
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_label_shows_all_of_a_name(name):
+    drawn = names.label(name, str(Path("/home") / name))
+    shown, _, identity = drawn.partition("##")
+    assert "#" not in identity and shown.replace(" ", "") == names.escaped(name).replace(" ", "")
+
+
+def test_identities_stay_different():
+    found = {names.plain_identity(name) for name in ("a#b", "a%23b", "a##b", "a###b", "ab", "a\x1b", r"a\x1b")}
+    assert len(found) == 7 and not any("#" in each for each in found)
+
+
+def test_icons_line_breaks_and_letters_are_drawn_as_they_are():
+    words = "\uf015 Zürich\n東京\t\U0001f697"
+    assert names._visible(words) == words
+    assert names._visible(["a\x1b", words]) == [r"a\x1b", words] and names._visible(3) == 3
