@@ -28,6 +28,13 @@ class ClearView:
     """Share of vehicles, 0..1; 0 where it is not known."""
     sensor: str = ""
     """Which camera of a rig it is; empty where there is only one."""
+    has_pose: bool = True
+    """Whether it is known where the camera stood: only then can other views show the same place."""
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether the distance of any pixel is known."""
+        return bool((self.depth > 0).any())
 
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)

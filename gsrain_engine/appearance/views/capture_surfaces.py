@@ -1,4 +1,4 @@
-"""Where the surfaces and the sky of a capture's views are: from its depth, its lidar, its points, or the road alone."""
+"""Where the surfaces and the sky of a capture's views are: from its depth, its lidar, or its points."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,15 +13,18 @@ from gsrain_engine.datasets.geometry.lidar_depth import lidar_depth
 from gsrain_engine.datasets.pixels.completed_depth import completed_depth
 from gsrain_engine.datasets.pixels.measured_depth import measured_depths, static_sweeps
 from gsrain_engine.datasets.pixels.road_plane import road_depth, road_drop
-from gsrain_engine.datasets.pixels.sky_pixels import sky_masks
+from gsrain_engine.datasets.pixels.sky_pixels import sky_masks, sure_sky
+from gsrain_engine.datasets.pixels.view_rays import elevations
 
 from .guided_filter import guided
-from .road_pixels import road_pixels
 
 _REFERENCES = 5
 """Views that tell with each one what colour the sky has."""
 _FEATHER, _SKY_SPREAD = 0.02, 0.03
 """Radius, over the picture's width, in which the sky's edge is looked for, and how even its colour is there."""
+_TWIGS, _TWIG_NOISE, _TWIG_DARKNESS = 0.012, 0.04, 0.6
+"""Half width of what is thin, over the picture's; by how much it is darker at least, and by what part of the light
+around it when nothing of the sky shows through."""
 _GUESS, _GUESS_SPREAD = 0.04, 0.1
 """The same for depth that was not measured near by."""
 _BEAMS = 0.012
@@ -47,37 +50,35 @@ class CaptureSurfaces:
     def sky(self, view: View) -> Float32[np.ndarray, "h w"]:
         """Share of sky in each pixel of a view without distortion: as the capture says, else by colour and place.
 
-        The edge of what is found by colour follows leaves and wires: it is feathered along the picture's own edges.
+        Of a view of which nothing was measured only what is surely sky counts, see `sure_sky`. The edge of what is
+        found by colour follows leaves and wires: it is feathered along the picture's own edges.
         """
         own = view.sky
         if own is not None:
             return own.astype(np.float32)
+        here, sure = self._measured(view), sure_sky(view.image).pixels
+        if not here.any():
+            return _feathered(sure, view.image)
         others = [each for each in self._references if each.name != view.name]
-        here = self._measured(view)
         measured = [here, *(self._reference_depths[each.name] for each in others)]
         found = sky_masks([view, *others], measured, self._capture.up)[0]
-        if not here.any():
-            found = _from_the_top(found)
-        return _feathered(found, view.image)
+        free = (elevations(view.camera, self._capture.up) > 0) & ~_near_measured(here)
+        return _feathered(found | (sure & free), view.image)
 
     def depth(self, view: View, sky: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-        """Depth along the view axis in the capture's unit; 0 in the sky, and where nothing can be told.
+        """Depth along the view axis in the capture's unit; 0 in the sky, and in views of which nothing was measured.
 
         Lidar and points are made dense, see `completed_depth`; what is guessed far from them follows the picture's
-        edges. Where nothing was measured at all, the pixels that look
-        like the road before the camera lie on a plane `EGO_HEIGHT_M` under it.
+        edges. A picture alone does not say what is road and what is a car upon it.
         """
         own = view.depth
         if own is not None:
             return np.where(sky, np.float32(0), own)
         measured = self._measured(view)
-        if measured.any():
-            road = None if self._drop is None else road_depth(view.camera, self._drop, self._capture.up)
-            return _along_edges(completed_depth(measured, sky, road), measured, view.image)
-        drop = EGO_HEIGHT_M / self.metres_per_unit if self._drop is None else self._drop
-        plane = road_depth(view.camera, drop, self._capture.up)
-        is_road = road_pixels(view.image, np.isfinite(plane) & ~sky)
-        return np.where(is_road, plane, np.float32(0))
+        if not measured.any():
+            return measured
+        road = None if self._drop is None else road_depth(view.camera, self._drop, self._capture.up)
+        return _along_edges(completed_depth(measured, sky, road), measured, view.image)
 
     def _measured(self, view: View) -> Float32[np.ndarray, "h w"]:
         """Sparse depth: of the static scene at any time, and of what moves at the view's own."""
@@ -109,12 +110,10 @@ class CaptureSurfaces:
         return road_drop(points, self._capture.views, self._capture.up)
 
 
-def _from_the_top(sky: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Keep the patches that hang together with the picture's upper edge, wires and twigs between them passed by."""
-    gap = max(sky.shape[1] // 60, 3)
-    closed = cv2.morphologyEx(sky.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((gap, gap), np.uint8))
-    parts = np.asarray(cv2.connectedComponents(closed)[1], np.int64)
-    return sky & np.isin(parts, np.unique(parts[:2][closed[:2] > 0]))
+def _near_measured(depth: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Pixels at a measured one, which are no sky: beams are several pixels apart."""
+    reach = 2 * max(depth.shape[1] // 160, 1) + 1
+    return cv2.dilate((depth > 0).astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0
 
 
 def _feathered(sky: Bool[np.ndarray, "h w"], image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
@@ -126,7 +125,16 @@ def _feathered(sky: Bool[np.ndarray, "h w"], image: UInt8[np.ndarray, "h w 3"]) 
     guide = image.astype(np.float32) / np.float32(255)
     share = guided(sky.astype(np.float32), guide, np.ones_like(sky), radius, _SKY_SPREAD)
     # The fit is a little flat: its middle part is stretched to the whole range.
-    return np.where(edge, np.clip((share - 0.1) / 0.8, 0, 1), sky).astype(np.float32)
+    return (np.where(edge, np.clip((share - 0.1) / 0.8, 0, 1), sky) * _between_twigs(guide)).astype(np.float32)
+
+
+def _between_twigs(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
+    """Share of light that passes what is thin and darker than all around it; 1 elsewhere, in clouds too."""
+    light = image.mean(axis=2)
+    size = 2 * max(round(_TWIGS * image.shape[1]), 1) + 1
+    open_light = cv2.morphologyEx(light, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+    darker = np.clip(open_light - light - _TWIG_NOISE, 0, 1) / np.maximum(_TWIG_DARKNESS * open_light, 1e-3)
+    return np.clip(1 - darker, 0, 1).astype(np.float32)
 
 
 def _along_edges(

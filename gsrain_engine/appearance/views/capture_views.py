@@ -9,7 +9,6 @@ from gsrain_engine.scene.scene import rotation_to_z_up
 
 from ..clear_view import ClearView
 from ..normals.from_depth import normals_from_depth
-from .assumed_pitch import levelled
 from .capture_surfaces import CaptureSurfaces
 from .kept_views import KeptViews
 from .vehicle_pixels import vehicle_pixels
@@ -38,8 +37,6 @@ class CaptureViews(KeptViews):
 
     def _view(self, index: int) -> ClearView:
         view, to_world = self._straight[index], self.to_world
-        if not self._capture.has_poses:
-            view = levelled(view)
         scale = np.float32(self._surfaces.metres_per_unit)
         sky = self._surfaces.sky(view)
         depth = self._surfaces.depth(view, sky > 0.5)
@@ -63,7 +60,7 @@ class CaptureViews(KeptViews):
 def capture_views(capture: Capture, width_px: int) -> CaptureViews:
     """Views of a capture, with pictures at most so wide.
 
-    Depth comes from the capture's own, from its lidar or its points, made dense, or is that of a flat road; the sky
-    from its masks, or from colours above the horizon; vehicles from labels or boxes. What nobody knows is 0.
+    Depth comes from the capture's own, or from its lidar or its points, made dense; the sky from its masks, or from
+    colours and what was measured; vehicles from labels or boxes. What is not known is 0.
     """
     return CaptureViews(capture, width_px)

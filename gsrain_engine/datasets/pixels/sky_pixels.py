@@ -1,10 +1,14 @@
-"""Finds the pixels of views that show the sky: from the data set where it tells, else by colour, place and lidar."""
+"""Finds the pixels of views that show the sky: from the data set where it tells, else by colour, place and lidar.
+
+`sure_sky` needs nothing but one picture, and marks only what is surely sky.
+"""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float32, Int64, UInt8
 from scipy.ndimage import binary_dilation
 
 from ..capture import View
@@ -21,6 +25,43 @@ _LEAST_PART = 0.004
 """Of a picture that a patch of sky must fill unless it touches the upper edge."""
 _LIKELY = 0.75
 _BINS = 12
+
+_WIDTH = 320
+"""Pixels across the small picture in which `sure_sky` looks; the numbers below are of it, colours in CIELAB."""
+_EVEN, _SOFT = 1.5, 5.0
+"""Steps of colour a pixel up to which a place is even, and up to which it may belong to one sky: clouds have no hard
+edges, roofs and twigs have."""
+_BLUE_B, _PALE_CHROMA, _WARM_B = -5.0, 16.0, 40.0
+"""b* below which something is blue, chroma below which it is white or gray, and b* of a sky at sunset."""
+_SMALLEST, _SMALLEST_GAP = 0.003, 3
+"""Share of the picture from which a patch may be sky by itself, and pixels of a gap between twigs."""
+_TOP, _LEAST_TOP = 0.02, 0.02
+"""Part of the picture's height that counts as its upper edge, and part of the edge that a sky fills."""
+_LOWEST_ROW = 0.75
+"""Part of the picture's height below which no sky ends: a patch that does has run over into a road."""
+_EVEN_SHARE, _GRAIN = 0.5, 0.8
+"""Least share of even pixels in a sky, and largest median grain of its lightness."""
+_BLUE_PER_SURE, _BRIGHT_PER_SURE, _WHITE, _FOR_WHITE = 10.0, 8.0, 97.0, 0.6
+"""Blueness and lead in lightness over the brightest tenth of all else that each make a patch surely sky, and what a
+patch gets that is as light as can be: sensors clip skies first."""
+_SURE = (0.3, 0.9)
+"""Sum of these from which a patch may be sky, and from which it is."""
+_LEAST_SURENESS = 0.5
+_WIRE = 5
+"""Pixels across a wire with its blur, which may part a sky in two."""
+_BODY = 7
+"""Pixels across what is not thin: bright ledges of a wall may run out of a sky."""
+_AMIDST, _SPREAD_PX, _GAP_ROUNDS, _GAP_DISTANCE, _RIM_DISTANCE = 0.35, 8.0, 4, 8.0, 14.0
+"""Share of sky around a gap between wires or twigs from which it shows the sky too, over how many pixels that is
+counted, how often, and how near its colour must be; the same for the rim that the smoothing took."""
+
+
+class SureSky(NamedTuple):
+    """The part of a picture that is surely sky."""
+
+    pixels: Bool[np.ndarray, "h w"]
+    sureness: float
+    """From 0.5 (just sure enough) to 1, the mean over its patches; 0 where no sky is marked."""
 
 
 def sky_masks(
@@ -59,6 +100,148 @@ def sky_masks(
     return [
         _tidied((chance & likely[bin_]) | guess) for chance, bin_, guess in zip(chances, bins, guesses, strict=True)
     ]
+
+
+def sure_sky(image: UInt8[np.ndarray, "h w 3"]) -> SureSky:
+    """Mark the sky of a picture of which nothing else is known; where it is not sure, nothing is marked.
+
+    A sky hangs together with the upper edge over soft steps of colour, clouds with the blue around them, is even and
+    without grain, and is bluer or brighter than nearly all else: walls, trucks and lamps miss one of these. Gaps
+    between wires and twigs in its midst count if they have its colour.
+
+    Args:
+        image: Display colour (sRGB), upright.
+    """
+    height, width = image.shape[:2]
+    size = (_WIDTH, max(round(height * _WIDTH / width), 1))
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA if width > _WIDTH else cv2.INTER_LINEAR)
+    lab = np.asarray(cv2.cvtColor(small.astype(np.float32) / 255, cv2.COLOR_RGB2LAB), np.float32)
+    soft = np.asarray(cv2.GaussianBlur(lab, (0, 0), 1.0), np.float32)
+    step = _color_step(soft)
+    joined = (_sky_like(soft) & (step < _SOFT)).astype(np.uint8)
+    parts = cv2.connectedComponents(cv2.morphologyEx(joined, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)), connectivity=4)
+    labels = np.asarray(parts[1], np.int64)
+    likely = _from_the_upper_edge(labels, parts[0])
+    rest = ~np.isin(labels, likely)
+    brightest = float(np.quantile(soft[..., 0][rest], 0.9)) if rest.any() else 0.0
+    sky, total = np.zeros(rest.shape, np.bool_), 0.0
+    for label in likely:
+        patch = labels == label
+        sureness = _sureness(patch, lab, soft, step, brightest)
+        if sureness >= _LEAST_SURENESS:
+            sky |= patch
+            total += sureness * float(np.count_nonzero(patch))
+    if not sky.any():
+        return SureSky(np.zeros((height, width), np.bool_), 0.0)
+    for label in _under_wires(sky, labels, parts[0]):
+        patch = labels == label
+        sureness = _sureness(patch, lab, soft, step, brightest)
+        color = np.median(lab[patch], axis=0) - np.median(lab[sky], axis=0)
+        if sureness >= _LEAST_SURENESS and np.linalg.norm(color) < _GAP_DISTANCE:
+            sky |= patch
+            total += sureness * float(np.count_nonzero(patch))
+    sureness = total / float(np.count_nonzero(sky))
+    sky = _with_gaps_and_rim(sky, labels, lab)
+    return SureSky(cv2.resize(sky.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5, sureness)
+
+
+def _color_step(lab: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
+    """Largest step of colour a pixel, over all directions."""
+    across, down = (cv2.Sobel(lab, cv2.CV_32F, *which, scale=1 / 8) for which in ((1, 0), (0, 1)))
+    return np.sqrt((np.asarray(across) ** 2 + np.asarray(down) ** 2).sum(axis=-1)).astype(np.float32)
+
+
+def _sky_like(lab: Float32[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
+    """Blue, or as pale as cloud, or as warm as a low sun, and not dark beside the brightest of the picture."""
+    light, green_red, yellow = (lab[..., i] for i in range(3))
+    bright = float(np.quantile(light, 0.95))
+    blue = (yellow < _BLUE_B) & (green_red < 12) & (light > 30)
+    pale = (np.hypot(green_red, yellow) < _PALE_CHROMA) & (green_red > -13) & (light > max(50, 0.75 * bright))
+    warm = (yellow > 0) & (yellow < _WARM_B) & (np.abs(green_red) < 12) & (light > max(60, 0.85 * bright))
+    return blue | pale | warm
+
+
+def _from_the_upper_edge(labels: Int64[np.ndarray, "h w"], count: int) -> list[int]:
+    """Labels of patches large enough to be judged that begin at the upper edge."""
+    rows = max(2, round(_TOP * labels.shape[0]))
+    sizes = np.bincount(labels.ravel(), minlength=count)
+    return [
+        label
+        for label in np.unique(labels[:rows]).tolist()
+        if label
+        and sizes[label] >= _SMALLEST * labels.size
+        and (labels[:rows] == label).any(axis=0).mean() >= _LEAST_TOP
+    ]
+
+
+def _under_wires(sky: Bool[np.ndarray, "h w"], labels: Int64[np.ndarray, "h w"], count: int) -> list[int]:
+    """Labels of large patches that most of their columns part from the sky above by no more than a wire."""
+    sizes = np.bincount(labels.ravel(), minlength=count)
+    near = cv2.dilate(sky.astype(np.uint8), np.ones((2 * _WIRE + 1, 1), np.uint8)) > 0
+    found: list[int] = []
+    for label in np.flatnonzero(sizes >= _SMALLEST * labels.size).tolist():
+        patch = labels == label
+        if label and not (patch & sky).any():
+            columns = np.flatnonzero(patch.any(axis=0))
+            if near[patch.argmax(axis=0)[columns], columns].mean() >= 0.5:
+                found.append(label)
+    return found
+
+
+def _sureness(
+    patch: Bool[np.ndarray, "h w"],
+    lab: Float32[np.ndarray, "h w 3"],
+    soft: Float32[np.ndarray, "h w 3"],
+    step: Float32[np.ndarray, "h w"],
+    brightest: float,
+) -> float:
+    """Rate a patch at the upper edge from 0 to 1: evenness and extent are conditions, blueness and light add up."""
+    inner = cv2.erode(patch.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    if not inner.any() or np.flatnonzero(patch.any(axis=1))[-1] > _LOWEST_ROW * patch.shape[0]:
+        return 0.0
+    grain = float(np.median(np.abs(lab[..., 0] - soft[..., 0])[inner]))
+    if (step[patch] < _EVEN).mean() < _EVEN_SHARE or grain > _GRAIN:
+        return 0.0
+    light, _, yellow = (float(each) for each in np.median(lab[patch], axis=0))
+    sure = -yellow / _BLUE_PER_SURE + (light - brightest) / _BRIGHT_PER_SURE + _FOR_WHITE * (light >= _WHITE)
+    low, high = _SURE
+    return float(np.clip((sure - low) / (high - low), 0, 1))
+
+
+def _with_gaps_and_rim(
+    sky: Bool[np.ndarray, "h w"], labels: Int64[np.ndarray, "h w"], lab: Float32[np.ndarray, "h w 3"]
+) -> Bool[np.ndarray, "h w"]:
+    """Add what shows the sky between wires and twigs, and its border; take away what is thin and stands out of it."""
+    body = cv2.morphologyEx(sky.astype(np.uint8), cv2.MORPH_OPEN, np.ones((_BODY, _BODY), np.uint8)) > 0
+    sky = sky & (body | (_around(lab, body)[1] > _AMIDST))
+    for _ in range(_GAP_ROUNDS):
+        color, around = _around(lab, sky)
+        near = np.linalg.norm(lab - color, axis=-1) < _GAP_DISTANCE
+        count = int(labels.max()) + 1
+        sizes = np.bincount(labels.ravel(), minlength=count)
+        amidst, alike = (
+            np.bincount(labels.ravel(), each.ravel().astype(np.float64), count) / np.maximum(sizes, 1)
+            for each in (around, near)
+        )
+        gaps = (sizes >= _SMALLEST_GAP) & (amidst > _AMIDST) & (alike > 0.8)
+        gaps[0] = False
+        grown = sky | gaps[labels] | (near & (around > 2 * _AMIDST))
+        if (grown == sky).all():
+            break
+        sky = grown
+    color, _ = _around(lab, sky)
+    rim = cv2.dilate(sky.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    return sky | (rim & (np.linalg.norm(lab - color, axis=-1) < _RIM_DISTANCE))
+
+
+def _around(
+    lab: Float32[np.ndarray, "h w 3"], sky: Bool[np.ndarray, "h w"]
+) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]]:
+    """Mean colour of the sky around each pixel, and its share there."""
+    weight = sky.astype(np.float32)
+    share = np.asarray(cv2.GaussianBlur(weight, (0, 0), _SPREAD_PX), np.float32)
+    color = np.asarray(cv2.GaussianBlur(lab * weight[..., None], (0, 0), _SPREAD_PX))
+    return (color / np.maximum(share, 1e-4)[..., None]).astype(np.float32), share
 
 
 def _measured(depth: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
