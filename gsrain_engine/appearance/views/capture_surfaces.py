@@ -1,6 +1,5 @@
 """Where the surfaces and the sky of a capture's views are: from its depth, its lidar, or its points."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -13,13 +12,10 @@ from gsrain_engine.datasets.geometry.lidar_depth import lidar_depth
 from gsrain_engine.datasets.pixels.completed_depth import completed_depth
 from gsrain_engine.datasets.pixels.measured_depth import measured_depths, static_sweeps
 from gsrain_engine.datasets.pixels.road_plane import road_depth, road_drop
-from gsrain_engine.datasets.pixels.sky_pixels import sky_masks, sure_sky
-from gsrain_engine.datasets.pixels.view_rays import elevations
+from gsrain_engine.datasets.pixels.sky_pixels import sure_sky
 
 from .guided_filter import guided
 
-_REFERENCES = 5
-"""Views that tell with each one what colour the sky has."""
 _FEATHER, _SKY_SPREAD = 0.02, 0.03
 """Radius, over the picture's width, in which the sky's edge is looked for, and how even its colour is there."""
 _TWIGS, _TWIG_NOISE, _TWIG_DARKNESS = 0.012, 0.04, 0.6
@@ -27,18 +23,17 @@ _TWIGS, _TWIG_NOISE, _TWIG_DARKNESS = 0.012, 0.04, 0.6
 around it when nothing of the sky shows through."""
 _GUESS, _GUESS_SPREAD = 0.04, 0.1
 """The same for depth that was not measured near by."""
-_BEAMS = 0.012
-"""Between measured pixels so far apart, over the width, depth is interpolated; farther away it is guessed."""
+_BEAMS, _AT_BEAM = 0.012, 0.006
+"""So near a measured pixel, over the width, depth is interpolated, and farther away guessed; so near it is no sky."""
 
 
 class CaptureSurfaces:
     """Tells depth and sky of views of one capture, view by view."""
 
-    def __init__(self, capture: Capture, references: Sequence[View]) -> None:
-        """Take a capture, and its views without distortion, which are read when they are needed."""
+    def __init__(self, capture: Capture) -> None:
+        """Take a capture, whose lidar and points are read when they are needed."""
         self._capture = capture
-        chosen = np.unique(np.linspace(0, len(references) - 1, min(_REFERENCES, len(references))).round().astype(int))
-        self._reference_views = [references[i] for i in chosen]
+        self._last: tuple[View, Float32[np.ndarray, "_ _"]] | None = None
 
     @property
     def metres_per_unit(self) -> float:
@@ -48,22 +43,24 @@ class CaptureSurfaces:
         return EGO_HEIGHT_M / self._drop
 
     def sky(self, view: View) -> Float32[np.ndarray, "h w"]:
-        """Share of sky in each pixel of a view without distortion: as the capture says, else by colour and place.
+        """Share of sky in each pixel of a view without distortion: as the capture says, else what is surely sky.
 
-        Of a view of which nothing was measured only what is surely sky counts, see `sure_sky`. The edge of what is
-        found by colour follows leaves and wires: it is feathered along the picture's own edges.
+        The edge of what `sure_sky` finds follows leaves and wires: it is feathered along the picture's own edges. Where
+        a lidar measured something no sky is.
         """
         own = view.sky
         if own is not None:
             return own.astype(np.float32)
-        here, sure = self._measured(view), sure_sky(view.image).pixels
-        if not here.any():
-            return _feathered(sure, view.image)
-        others = [each for each in self._references if each.name != view.name]
-        measured = [here, *(self._reference_depths[each.name] for each in others)]
-        found = sky_masks([view, *others], measured, self._capture.up)[0]
-        free = (elevations(view.camera, self._capture.up) > 0) & ~_near_measured(here)
-        return _feathered(found | (sure & free), view.image)
+        sure = sure_sky(view.image).pixels
+        if self._capture.sweeps:
+            sure = sure & ~_near(self._measured(view), _AT_BEAM)
+        return _feathered(sure, view.image)
+
+    def known_share(self, view: View, sky: Bool[np.ndarray, "h w"]) -> float:
+        """Part of a view below its sky that was measured, or lies next to what was; the rest of its depth is guessed."""
+        if view.depth_source is not None:
+            return 1.0
+        return float(_near(self._measured(view), _BEAMS)[~sky].mean()) if not sky.all() else 0.0
 
     def depth(self, view: View, sky: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
         """Depth along the view axis in the capture's unit; 0 in the sky, and in views of which nothing was measured.
@@ -81,7 +78,12 @@ class CaptureSurfaces:
         return _along_edges(completed_depth(measured, sky, road), measured, view.image)
 
     def _measured(self, view: View) -> Float32[np.ndarray, "h w"]:
-        """Sparse depth: of the static scene at any time, and of what moves at the view's own."""
+        """Sparse depth: of the static scene at any time, and of what moves at the view's own; that of the last view stays."""
+        if self._last is None or self._last[0] is not view:
+            self._last = (view, self._newly_measured(view))
+        return self._last[1]
+
+    def _newly_measured(self, view: View) -> Float32[np.ndarray, "h w"]:
         static = measured_depths(self._capture, [view], self._static)[0]
         if not self._capture.sweeps or view.depth_source is not None:
             return static
@@ -94,14 +96,6 @@ class CaptureSurfaces:
         return static_sweeps(self._capture)
 
     @cached_property
-    def _references(self) -> list[View]:
-        return [replace(view, image_source=view.image) for view in self._reference_views]
-
-    @cached_property
-    def _reference_depths(self) -> dict[str, Float32[np.ndarray, "_ _"]]:
-        return {view.name: self._measured(view) for view in self._references}
-
-    @cached_property
     def _drop(self) -> float | None:
         """How far the road lies under the cameras, where only triangulated points are known."""
         points = self._capture.points_m
@@ -110,9 +104,9 @@ class CaptureSurfaces:
         return road_drop(points, self._capture.views, self._capture.up)
 
 
-def _near_measured(depth: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Pixels at a measured one, which are no sky: beams are several pixels apart."""
-    reach = 2 * max(depth.shape[1] // 160, 1) + 1
+def _near(depth: Float32[np.ndarray, "h w"], share: float) -> Bool[np.ndarray, "h w"]:
+    """Pixels no farther from a measured one than a share of the picture's width: beams are several pixels apart."""
+    reach = 2 * max(round(share * depth.shape[1]), 1) + 1
     return cv2.dilate((depth > 0).astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0
 
 
@@ -141,9 +135,8 @@ def _along_edges(
     depth: Float32[np.ndarray, "h w"], measured: Float32[np.ndarray, "h w"], image: UInt8[np.ndarray, "h w 3"]
 ) -> Float32[np.ndarray, "h w"]:
     """Let depth far from all that was measured follow the picture's edges; 0 stays 0."""
-    beam, radius = (max(round(part * depth.shape[1]), 2) for part in (_BEAMS, _GUESS))
-    window = np.ones((2 * beam + 1, 2 * beam + 1), np.uint8)
-    guessed = (cv2.dilate((measured > 0).astype(np.uint8), window) == 0) & (depth > 0)
+    radius = max(round(_GUESS * depth.shape[1]), 2)
+    guessed = ~_near(measured, _BEAMS) & (depth > 0)
     if not guessed.any():
         return depth
     inverse = np.where(depth > 0, 1 / np.where(depth > 0, depth, 1), 0).astype(np.float32)

@@ -22,7 +22,8 @@ class CaptureViews(KeptViews):
         super().__init__(len(capture), self._view)
         self._capture = capture
         self._straight = [prepared(view, min(width_px, view.camera.width)) for view in capture]
-        self._surfaces = CaptureSurfaces(capture, self._straight)
+        self._surfaces = CaptureSurfaces(capture)
+        self._has_poses = capture.has_poses and not _stand_at_one_place(capture)
 
     @property
     def to_world(self) -> Float64[np.ndarray, "4 4"]:
@@ -40,6 +41,7 @@ class CaptureViews(KeptViews):
         scale = np.float32(self._surfaces.metres_per_unit)
         sky = self._surfaces.sky(view)
         depth = self._surfaces.depth(view, sky > 0.5)
+        known = self._surfaces.known_share(view, sky > 0.5) if depth.any() else 0.0
         camera = view.camera.moved(to_world)
         own = view.normals
         turned = None if own is None else (own @ (to_world[:3, :3] / scale).T).astype(np.float32)
@@ -54,7 +56,18 @@ class CaptureViews(KeptViews):
             sky,
             vehicle_pixels(view, self._capture.boxes, depth).astype(np.float32),
             view.sensor,
+            has_pose=self._has_poses,
+            known_share=known,
         )
+
+
+def _stand_at_one_place(capture: Capture) -> bool:
+    """Whether poses are the same number time and again, and nothing measured speaks for a camera at rest."""
+    is_measured = capture.sweeps or capture.points_m is not None or any(view.depth_source for view in capture)
+    first = capture[0].camera.world_to_camera
+    return len(capture) > 1 and not is_measured and all(
+        np.allclose(view.camera.world_to_camera, first, rtol=0, atol=1e-9) for view in capture
+    )  # fmt: skip
 
 
 def capture_views(capture: Capture, width_px: int) -> CaptureViews:

@@ -52,11 +52,11 @@ def overcast_sky(directions: Float[np.ndarray, "h w 3"], settings: WetSettings) 
 def with_own_sky(view: ClearView) -> ClearView:
     """Count as sky what has its colour and stands in its midst, or beside it at a distance that is not known.
 
-    Scenes keep scraps of sky before the sky, and masks of pictures end where twigs begin. Where no distance at all is
+    Scenes keep scraps of sky before the sky, and masks of pictures end where twigs begin. Where distances are not
     known, only what stands in its midst counts: hills and walls beside a sky may have its colour.
     """
     rising = view_rays(view.camera)[..., 2] > 0
-    is_open = (view.depth <= 0) & rising & view.has_depth
+    is_open = (view.depth <= 0) & rising & view.has_surfaces
     share = view.sky
     for _ in range(_ROUNDS):
         behind, around = _local_sky(view.image, share)

@@ -25,6 +25,9 @@ from .water import water_on
 
 Image = Float32[np.ndarray, "h w 3"]
 
+LIGHT_AND_SKY = "only light, colors and the sky where it is sure: their depth is not known, so nothing is made wet"
+"""What is left out of pictures alone."""
+
 
 class WetTransfer:
     """Overcast light, wet materials, water, lamps and mist; the same view by view, since all is told by the scene."""
@@ -52,9 +55,9 @@ class WetTransfer:
         if settings.wetness == 0:
             return RainyView(view, view.image, np.zeros_like(view.sky))
 
-        if not view.has_depth:
+        if not view.has_surfaces:
             dull = np.clip(linear_to_srgb(rainy_picture(view, settings)), 0, 1).astype(np.float32)
-            return RainyView(view, dull, np.zeros_like(view.sky))
+            return RainyView(view, dull, np.zeros_like(view.sky), LIGHT_AND_SKY)
 
         def look(each: ClearView) -> Image:
             return rainy_light(each, light, settings, self._surroundings.ground(each))
@@ -68,7 +71,7 @@ class WetTransfer:
 
 
 def rainy_picture(view: ClearView, settings: WetSettings) -> Image:
-    """Return a view of which no distance is known on a rainy day, linear light: its light, its colours and its sky.
+    """Return a view of which no surfaces are known on a rainy day, linear light: its light, its colours and its sky.
 
     Nothing is wet in it: a film or a puddle might lie on a vehicle or on a person.
     """

@@ -44,6 +44,10 @@ _EVEN_SHARE, _GRAIN = 0.5, 0.8
 _BLUE_PER_SURE, _BRIGHT_PER_SURE, _WHITE, _FOR_WHITE = 10.0, 8.0, 97.0, 0.6
 """Blueness and lead in lightness over the brightest tenth of all else that each make a patch surely sky, and what a
 patch gets that is as light as can be: sensors clip skies first."""
+_DIM, _DEEP_BLUE = 60.0, 15.0
+"""Lightness under which only a deep blue is a sky, and blueness from which it is one."""
+_COOL, _SUNLIT_WALL = 3.0, 10.0
+"""b* of a sky below which it has no part over the other: that is a wall in the sun."""
 _SURE = (0.3, 0.9)
 """Sum of these from which a patch may be sky, and from which it is."""
 _LEAST_SURENESS = 0.5
@@ -122,20 +126,24 @@ def sure_sky(image: UInt8[np.ndarray, "h w 3"]) -> SureSky:
     parts = cv2.connectedComponents(cv2.morphologyEx(joined, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)), connectivity=4)
     labels = np.asarray(parts[1], np.int64)
     likely = _from_the_upper_edge(labels, parts[0])
-    rest = ~np.isin(labels, likely)
-    brightest = float(np.quantile(soft[..., 0][rest], 0.9)) if rest.any() else 0.0
-    sky, total = np.zeros(rest.shape, np.bool_), 0.0
+    rest = _Rest.of(soft[~np.isin(labels, likely)])
+    sky, total = np.zeros(labels.shape, np.bool_), 0.0
     for label in likely:
         patch = labels == label
-        sureness = _sureness(patch, lab, soft, step, brightest)
+        sureness = _sureness(patch, lab, soft, step, rest)
         if sureness >= _LEAST_SURENESS:
             sky |= patch
             total += sureness * float(np.count_nonzero(patch))
     if not sky.any():
         return SureSky(np.zeros((height, width), np.bool_), 0.0)
+    if np.median(lab[sky][:, 2]) < _COOL:
+        for label in likely:
+            patch = labels == label
+            if np.median(lab[patch][:, 2]) > _SUNLIT_WALL:
+                sky &= ~patch
     for label in _under_wires(sky, labels, parts[0]):
         patch = labels == label
-        sureness = _sureness(patch, lab, soft, step, brightest)
+        sureness = _sureness(patch, lab, soft, step, rest)
         color = np.median(lab[patch], axis=0) - np.median(lab[sky], axis=0)
         if sureness >= _LEAST_SURENESS and np.linalg.norm(color) < _GAP_DISTANCE:
             sky |= patch
@@ -143,6 +151,22 @@ def sure_sky(image: UInt8[np.ndarray, "h w 3"]) -> SureSky:
     sureness = total / float(np.count_nonzero(sky))
     sky = _with_gaps_and_rim(sky, labels, lab)
     return SureSky(cv2.resize(sky.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5, sureness)
+
+
+class _Rest(NamedTuple):
+    """All of a picture that can't be its sky."""
+
+    brightest: float
+    """Lightness that a tenth of it exceeds."""
+    blue_cast: float
+    """Its median b* where that is blue, else 0: what stands in the shade is lit by the sky."""
+
+    @classmethod
+    def of(cls, lab: Float32[np.ndarray, "n 3"]) -> "_Rest":
+        """Tell it from its colours."""
+        if not len(lab):
+            return cls(0.0, 0.0)
+        return cls(float(np.quantile(lab[:, 0], 0.9)), min(float(np.median(lab[:, 2])), 0.0))
 
 
 def _color_step(lab: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
@@ -193,7 +217,7 @@ def _sureness(
     lab: Float32[np.ndarray, "h w 3"],
     soft: Float32[np.ndarray, "h w 3"],
     step: Float32[np.ndarray, "h w"],
-    brightest: float,
+    rest: _Rest,
 ) -> float:
     """Rate a patch at the upper edge from 0 to 1: evenness and extent are conditions, blueness and light add up."""
     inner = cv2.erode(patch.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
@@ -203,7 +227,10 @@ def _sureness(
     if (step[patch] < _EVEN).mean() < _EVEN_SHARE or grain > _GRAIN:
         return 0.0
     light, _, yellow = (float(each) for each in np.median(lab[patch], axis=0))
-    sure = -yellow / _BLUE_PER_SURE + (light - brightest) / _BRIGHT_PER_SURE + _FOR_WHITE * (light >= _WHITE)
+    blueness = rest.blue_cast - yellow
+    if light < _DIM and blueness < _DEEP_BLUE:
+        return 0.0
+    sure = blueness / _BLUE_PER_SURE + (light - rest.brightest) / _BRIGHT_PER_SURE + _FOR_WHITE * (light >= _WHITE)
     low, high = _SURE
     return float(np.clip((sure - low) / (high - low), 0, 1))
 
