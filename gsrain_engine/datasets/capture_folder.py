@@ -98,14 +98,10 @@ def read_capture_folder(path: Path) -> Capture:
         )
     up, is_metric, has_poses = _world(folder / WORLD)
     told = (*(() if has_poses else (_NO_POSES,)), *problems)
-    return Capture(
-        folder.resolve().name, tuple(views), is_metric=is_metric, up=up, has_poses=has_poses, problems=told
-    )
+    return Capture(folder.resolve().name, tuple(views), is_metric=is_metric, up=up, has_poses=has_poses, problems=told)
 
 
-def write_world(
-    folder: Path, up: tuple[float, float, float], *, is_metric: bool, has_poses: bool = True
-) -> None:
+def write_world(folder: Path, up: tuple[float, float, float], *, is_metric: bool, has_poses: bool = True) -> None:
     """Write which way is up in the views' world, whether its unit is the metre, and whether poses are known in it."""
     values = {"up": list(up), "is_metric": is_metric} | ({} if has_poses else {"has_poses": False})
     (folder / WORLD).write_text(json.dumps(values) + "\n", encoding="utf-8")

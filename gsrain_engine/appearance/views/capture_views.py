@@ -63,7 +63,9 @@ class CaptureViews(KeptViews):
 
 def _stand_at_one_place(capture: Capture) -> bool:
     """Whether poses are the same number time and again, and nothing measured speaks for a camera at rest."""
-    is_measured = capture.sweeps or capture.points_m is not None or any(view.depth_source for view in capture)
+    is_measured = (
+        capture.sweeps or capture.points_m is not None or any(view.depth_source is not None for view in capture)
+    )
     first = capture[0].camera.world_to_camera
     return len(capture) > 1 and not is_measured and all(
         np.allclose(view.camera.world_to_camera, first, rtol=0, atol=1e-9) for view in capture

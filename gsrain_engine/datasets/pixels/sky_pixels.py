@@ -28,22 +28,23 @@ _BINS = 12
 
 _WIDTH = 320
 """Pixels across the small picture in which `sure_sky` looks; the numbers below are of it, colours in CIELAB."""
-_EVEN, _SOFT = 1.5, 5.0
+_EVEN, _SOFT = 1.5, 3.5
 """Steps of colour a pixel up to which a place is even, and up to which it may belong to one sky: clouds have no hard
 edges, roofs and twigs have."""
-_BLUE_B, _PALE_CHROMA, _WARM_B = -5.0, 16.0, 40.0
-"""b* below which something is blue, chroma below which it is white or gray, and b* of a sky at sunset."""
-_SMALLEST, _SMALLEST_GAP = 0.003, 3
-"""Share of the picture from which a patch may be sky by itself, and pixels of a gap between twigs."""
+_BLUE_B, _PAINT_CHROMA, _PALE_CHROMA, _WARM_B, _WARM_LIGHT = -5.0, 62.0, 16.0, 20.0, 85.0
+"""b* below which something is blue, chroma from which that is paint, chroma below which something is white or gray;
+b* and lightness of a sky at sunset."""
+_SMALLEST = 0.003
+"""Share of the picture from which a patch may be sky by itself."""
 _TOP, _LEAST_TOP = 0.02, 0.02
 """Part of the picture's height that counts as its upper edge, and part of the edge that a sky fills."""
 _LOWEST_ROW = 0.75
 """Part of the picture's height below which no sky ends: a patch that does has run over into a road."""
-_EVEN_SHARE, _GRAIN = 0.5, 0.8
+_EVEN_SHARE, _GRAIN = 0.4, 0.8
 """Least share of even pixels in a sky, and largest median grain of its lightness."""
-_BLUE_PER_SURE, _BRIGHT_PER_SURE, _WHITE, _FOR_WHITE = 10.0, 8.0, 97.0, 0.6
-"""Blueness and lead in lightness over the brightest tenth of all else that each make a patch surely sky, and what a
-patch gets that is as light as can be: sensors clip skies first."""
+_BLUE_PER_SURE, _BRIGHT_PER_SURE, _WORST_LEAD, _WHITE, _FOR_WHITE = 10.0, 8.0, -2.0, 97.0, 0.6
+"""Blueness and lead in lightness over the brightest tenth of all else that each make a patch surely sky, the most that
+white things can speak against it, and what a patch gets that is as light as can be: sensors clip skies first."""
 _DIM, _DEEP_BLUE = 60.0, 15.0
 """Lightness under which only a deep blue is a sky, and blueness from which it is one."""
 _COOL, _SUNLIT_WALL = 3.0, 10.0
@@ -51,11 +52,16 @@ _COOL, _SUNLIT_WALL = 3.0, 10.0
 _SURE = (0.3, 0.9)
 """Sum of these from which a patch may be sky, and from which it is."""
 _LEAST_SURENESS = 0.5
-_WIRE = 5
-"""Pixels across a wire with its blur, which may part a sky in two."""
+_WIRE, _WIRES = 8, 3
+"""Pixels across a wire with its blur, which may part a sky in two, and so many of them one under the other."""
 _BODY = 7
-"""Pixels across what is not thin: bright ledges of a wall may run out of a sky."""
-_AMIDST, _SPREAD_PX, _GAP_ROUNDS, _GAP_DISTANCE, _RIM_DISTANCE = 0.35, 8.0, 4, 8.0, 14.0
+"""Pixels across what hangs together: the edge of a gray truck is soft for a few, where a cloud of its gray is behind
+it, and bright ledges of a wall run out of a sky."""
+_MIXED_BLUE = 0.4
+"""Part of the blue of the sky around twigs from which a mixture with them shows it."""
+_ALIKE = 12.0
+"""Difference of colour from a sure sky up to which another patch at the upper edge is one."""
+_AMIDST, _SPREAD_PX, _BLUE_ROUNDS, _PALE_ROUNDS, _GAP_DISTANCE, _RIM_DISTANCE = 0.3, 6.0, 8, 2, 9.0, 14.0
 """Share of sky around a gap between wires or twigs from which it shows the sky too, over how many pixels that is
 counted, how often, and how near its colour must be; the same for the rim that the smoothing took."""
 
@@ -121,9 +127,10 @@ def sure_sky(image: UInt8[np.ndarray, "h w 3"]) -> SureSky:
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA if width > _WIDTH else cv2.INTER_LINEAR)
     lab = np.asarray(cv2.cvtColor(small.astype(np.float32) / 255, cv2.COLOR_RGB2LAB), np.float32)
     soft = np.asarray(cv2.GaussianBlur(lab, (0, 0), 1.0), np.float32)
-    step = _color_step(soft)
+    step = _color_step(np.asarray(cv2.GaussianBlur(lab, (0, 0), 0.6), np.float32))
     joined = (_sky_like(soft) & (step < _SOFT)).astype(np.uint8)
-    parts = cv2.connectedComponents(cv2.morphologyEx(joined, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)), connectivity=4)
+    window = np.ones((_BODY, _BODY), np.uint8)  # what hangs together by less than that does not
+    parts = cv2.connectedComponents(cv2.morphologyEx(joined, cv2.MORPH_OPEN, window), connectivity=4)
     labels = np.asarray(parts[1], np.int64)
     likely = _from_the_upper_edge(labels, parts[0])
     rest = _Rest.of(soft[~np.isin(labels, likely)])
@@ -136,20 +143,26 @@ def sure_sky(image: UInt8[np.ndarray, "h w 3"]) -> SureSky:
             total += sureness * float(np.count_nonzero(patch))
     if not sky.any():
         return SureSky(np.zeros((height, width), np.bool_), 0.0)
-    if np.median(lab[sky][:, 2]) < _COOL:
+    tone = np.median(lab[sky], axis=0)
+    for label in likely:  # what a pole parts from a sure sky
+        patch = labels == label
+        if _is_even(patch, lab, soft, step) and np.linalg.norm(np.median(lab[patch], axis=0) - tone) < _ALIKE:
+            sky |= patch
+    if tone[2] < _COOL:
         for label in likely:
             patch = labels == label
             if np.median(lab[patch][:, 2]) > _SUNLIT_WALL:
                 sky &= ~patch
-    for label in _under_wires(sky, labels, parts[0]):
-        patch = labels == label
-        sureness = _sureness(patch, lab, soft, step, rest)
-        color = np.median(lab[patch], axis=0) - np.median(lab[sky], axis=0)
-        if sureness >= _LEAST_SURENESS and np.linalg.norm(color) < _GAP_DISTANCE:
-            sky |= patch
-            total += sureness * float(np.count_nonzero(patch))
+    for _ in range(_WIRES):
+        for label in _under_wires(sky, labels, parts[0]):
+            patch = labels == label
+            sureness = _sureness(patch, lab, soft, step, rest)
+            color = np.median(lab[patch], axis=0) - np.median(lab[sky], axis=0)
+            if sureness >= _LEAST_SURENESS and np.linalg.norm(color) < _GAP_DISTANCE:
+                sky |= patch
+                total += sureness * float(np.count_nonzero(patch))
     sureness = total / float(np.count_nonzero(sky))
-    sky = _with_gaps_and_rim(sky, labels, lab)
+    sky = _with_gaps_and_rim(sky, lab)
     return SureSky(cv2.resize(sky.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5, sureness)
 
 
@@ -179,9 +192,10 @@ def _sky_like(lab: Float32[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
     """Blue, or as pale as cloud, or as warm as a low sun, and not dark beside the brightest of the picture."""
     light, green_red, yellow = (lab[..., i] for i in range(3))
     bright = float(np.quantile(light, 0.95))
-    blue = (yellow < _BLUE_B) & (green_red < 12) & (light > 30)
-    pale = (np.hypot(green_red, yellow) < _PALE_CHROMA) & (green_red > -13) & (light > max(50, 0.75 * bright))
-    warm = (yellow > 0) & (yellow < _WARM_B) & (np.abs(green_red) < 12) & (light > max(60, 0.85 * bright))
+    chroma = np.hypot(green_red, yellow)
+    blue = (yellow < _BLUE_B) & (green_red < 20) & (chroma < _PAINT_CHROMA) & (light > 30)
+    pale = (chroma < _PALE_CHROMA) & (green_red > -13) & (light > max(50, 0.75 * bright))
+    warm = (yellow > 0) & (yellow < _WARM_B) & (np.abs(green_red) < 12) & (light > max(_WARM_LIGHT, 0.85 * bright))
     return blue | pale | warm
 
 
@@ -220,45 +234,47 @@ def _sureness(
     rest: _Rest,
 ) -> float:
     """Rate a patch at the upper edge from 0 to 1: evenness and extent are conditions, blueness and light add up."""
-    inner = cv2.erode(patch.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    if not inner.any() or np.flatnonzero(patch.any(axis=1))[-1] > _LOWEST_ROW * patch.shape[0]:
-        return 0.0
-    grain = float(np.median(np.abs(lab[..., 0] - soft[..., 0])[inner]))
-    if (step[patch] < _EVEN).mean() < _EVEN_SHARE or grain > _GRAIN:
+    if not _is_even(patch, lab, soft, step):
         return 0.0
     light, _, yellow = (float(each) for each in np.median(lab[patch], axis=0))
     blueness = rest.blue_cast - yellow
     if light < _DIM and blueness < _DEEP_BLUE:
         return 0.0
-    sure = blueness / _BLUE_PER_SURE + (light - rest.brightest) / _BRIGHT_PER_SURE + _FOR_WHITE * (light >= _WHITE)
+    lead = max((light - rest.brightest) / _BRIGHT_PER_SURE, _WORST_LEAD)
+    sure = blueness / _BLUE_PER_SURE + lead + _FOR_WHITE * (light >= _WHITE)
     low, high = _SURE
     return float(np.clip((sure - low) / (high - low), 0, 1))
 
 
-def _with_gaps_and_rim(
-    sky: Bool[np.ndarray, "h w"], labels: Int64[np.ndarray, "h w"], lab: Float32[np.ndarray, "h w 3"]
-) -> Bool[np.ndarray, "h w"]:
-    """Add what shows the sky between wires and twigs, and its border; take away what is thin and stands out of it."""
-    body = cv2.morphologyEx(sky.astype(np.uint8), cv2.MORPH_OPEN, np.ones((_BODY, _BODY), np.uint8)) > 0
-    sky = sky & (body | (_around(lab, body)[1] > _AMIDST))
-    for _ in range(_GAP_ROUNDS):
+def _is_even(
+    patch: Bool[np.ndarray, "h w"],
+    lab: Float32[np.ndarray, "h w 3"],
+    soft: Float32[np.ndarray, "h w 3"],
+    step: Float32[np.ndarray, "h w"],
+) -> bool:
+    """Whether a patch has no grain, mostly soft steps, and ends above the road."""
+    inner = cv2.erode(patch.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    if not inner.any() or np.flatnonzero(patch.any(axis=1))[-1] > _LOWEST_ROW * patch.shape[0]:
+        return False
+    grain = float(np.median(np.abs(lab[..., 0] - soft[..., 0])[inner]))
+    return bool((step[patch] < _EVEN).mean() >= _EVEN_SHARE and grain <= _GRAIN)
+
+
+def _with_gaps_and_rim(sky: Bool[np.ndarray, "h w"], lab: Float32[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
+    """Add what shows the sky between wires and twigs by its colour, and its border.
+
+    White may go on as a wall. A deep blue is told from all else far into a tree, mixed with its twigs too; blue paint
+    is even.
+    """
+    is_blue = np.median(lab[sky][:, 2]) < -_DEEP_BLUE
+    twigs = cv2.blur(_color_step(lab), (7, 7)) > _SOFT
+    for each in [_GAP_DISTANCE] * (_BLUE_ROUNDS if is_blue else _PALE_ROUNDS) + [_RIM_DISTANCE]:
         color, around = _around(lab, sky)
-        near = np.linalg.norm(lab - color, axis=-1) < _GAP_DISTANCE
-        count = int(labels.max()) + 1
-        sizes = np.bincount(labels.ravel(), minlength=count)
-        amidst, alike = (
-            np.bincount(labels.ravel(), each.ravel().astype(np.float64), count) / np.maximum(sizes, 1)
-            for each in (around, near)
-        )
-        gaps = (sizes >= _SMALLEST_GAP) & (amidst > _AMIDST) & (alike > 0.8)
-        gaps[0] = False
-        grown = sky | gaps[labels] | (near & (around > 2 * _AMIDST))
-        if (grown == sky).all():
-            break
-        sky = grown
-    color, _ = _around(lab, sky)
-    rim = cv2.dilate(sky.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    return sky | (rim & (np.linalg.norm(lab - color, axis=-1) < _RIM_DISTANCE))
+        shows = np.linalg.norm(lab - color, axis=-1) < each
+        if is_blue:
+            shows |= twigs & (lab[..., 2] < _MIXED_BLUE * color[..., 2])
+        sky = sky | (shows & (around > _AMIDST))
+    return sky
 
 
 def _around(

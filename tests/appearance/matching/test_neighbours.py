@@ -59,6 +59,8 @@ def test_a_sky_that_two_views_share_makes_no_neighbours():
     depth[:120] = 0
     view = made_view(camera, depth)
     view = replace(view, sky=(np.arange(240)[:, None] < 120).astype(np.float32).repeat(360, axis=1))
-    below = replace(view, name="b", camera=street_camera(0.3, 0.0), depth=3 * view.depth)  # what stands there is another thing
+    below = replace(
+        view, name="b", camera=street_camera(0.3, 0.0), depth=3 * view.depth
+    )  # what stands there is another thing
     assert neighbours([view, replace(view, name="c", camera=street_camera(0.3, 0.0))], 1) == [(1,), (0,)]
     assert neighbours([view, below], 1) == [(), ()]
