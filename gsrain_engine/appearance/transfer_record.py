@@ -41,7 +41,7 @@ class TransferRecord:
 
 
 def write_record(folder: Path, record: TransferRecord, *, has_poses: bool = True) -> None:
-    """Write the record, and what the views' world is like where z is not up, the unit not the metre, or poses unknown."""
+    """Write the record, and a file on the world where z is not up, the unit is not the metre, or poses are unknown."""
     values = {
         "version": _VERSION,
         "method": record.method,

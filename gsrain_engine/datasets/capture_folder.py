@@ -3,7 +3,8 @@
 NAME.png is the picture, NAME.depth.npy depth in metres (float32), NAME.normals.npy world normals (float16),
 NAME.labels.png class numbers, NAME.mask.png and NAME.sky.png are white where True. cameras.json holds for each view its
 name, time and camera, and its sensor, lens and attributes where it has them. The world has metres and z up, unless
-world.json says otherwise: {"up": [x, y, z], "is_metric": false}; "has_poses": false in it says that the cameras' poses are not known.
+world.json says otherwise: {"up": [x, y, z], "is_metric": false}; with "has_poses": false the cameras' poses in it are
+not known.
 """
 
 import json

@@ -1,6 +1,5 @@
 """Where the surfaces and the sky of a capture's views are: from its depth, its lidar, or its points."""
 
-from dataclasses import replace
 from functools import cached_property
 
 import cv2
@@ -57,7 +56,7 @@ class CaptureSurfaces:
         return _feathered(sure, view.image)
 
     def known_share(self, view: View, sky: Bool[np.ndarray, "h w"]) -> float:
-        """Part of a view below its sky that was measured, or lies next to what was; the rest of its depth is guessed."""
+        """Part of a view below its sky that was measured, or lies next to what was: other depth is a guess."""
         if view.depth_source is not None:
             return 1.0
         return float(_near(self._measured(view), _BEAMS)[~sky].mean()) if not sky.all() else 0.0
@@ -78,7 +77,7 @@ class CaptureSurfaces:
         return _along_edges(completed_depth(measured, sky, road), measured, view.image)
 
     def _measured(self, view: View) -> Float32[np.ndarray, "h w"]:
-        """Sparse depth: of the static scene at any time, and of what moves at the view's own; that of the last view stays."""
+        """Sparse depth: of the static scene at any time, and of what moves at the view's own; the last one stays."""
         if self._last is None or self._last[0] is not view:
             self._last = (view, self._newly_measured(view))
         return self._last[1]

@@ -43,7 +43,7 @@ _WHITE, _WHITE_WALL = 0.85, 0.55
 _LOST_EV, _GRAIN_M, _CLIPPED = 0.3, 12.0, (0.88, 0.98)
 """Unevenness of ground too bright for the camera, the period of its noise, and display values at which it is lost."""
 _DAYLIGHT = (0.08, 0.22)
-"""Median display brightness below the sky up to which a picture is one of the night, and from which it is of the day."""
+"""Median display brightness below the sky up to which a picture is of the night, and from which it is of the day."""
 _PICTURE_EV, _FLATTENED_PICTURE, _PICTURE_SATURATION = -0.35, 0.2, 0.75
 """What a picture alone gets of a cloudy day: stops, share of its contrast in stops that goes, colour that stays."""
 _PICTURE_WHITE_EV = (-1.2, 0.0)

@@ -57,8 +57,9 @@ _WIRE, _WIRES = 8, 3
 _BODY = 7
 """Pixels across what hangs together: the edge of a gray truck is soft for a few, where a cloud of its gray is behind
 it, and bright ledges of a wall run out of a sky."""
-_MIXED_BLUE = 0.4
-"""Part of the blue of the sky around twigs from which a mixture with them shows it."""
+_MIXED = (0.65, 0.45)
+"""Parts of the light and of the blue of the sky around twigs from which a mixture with them shows it; blue cars under a
+sky are darker."""
 _ALIKE = 12.0
 """Difference of colour from a sure sky up to which another patch at the upper edge is one."""
 _AMIDST, _SPREAD_PX, _BLUE_ROUNDS, _PALE_ROUNDS, _GAP_DISTANCE, _RIM_DISTANCE = 0.3, 6.0, 8, 2, 9.0, 14.0
@@ -272,7 +273,7 @@ def _with_gaps_and_rim(sky: Bool[np.ndarray, "h w"], lab: Float32[np.ndarray, "h
         color, around = _around(lab, sky)
         shows = np.linalg.norm(lab - color, axis=-1) < each
         if is_blue:
-            shows |= twigs & (lab[..., 2] < _MIXED_BLUE * color[..., 2])
+            shows |= twigs & (lab[..., [0, 2]] / color[..., [0, 2]] > _MIXED).all(axis=-1)
         sky = sky | (shows & (around > _AMIDST))
     return sky
 
@@ -284,7 +285,7 @@ def _around(
     weight = sky.astype(np.float32)
     share = np.asarray(cv2.GaussianBlur(weight, (0, 0), _SPREAD_PX), np.float32)
     color = np.asarray(cv2.GaussianBlur(lab * weight[..., None], (0, 0), _SPREAD_PX))
-    return (color / np.maximum(share, 1e-4)[..., None]).astype(np.float32), share
+    return (color / np.maximum(share, 1e-4)[..., None] - np.float32(1e-6)).astype(np.float32), share
 
 
 def _measured(depth: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
