@@ -35,7 +35,7 @@ _LEAST_MATCHED = 0.02
 """Share of a view's pixels with a place in another one from which it attends to it."""
 
 WITHOUT_POSE = "no attention between views: it is not known where their cameras stood"
-ALONE = "no attention between views: no other one is known to show the same place"
+NO_OVERLAP = "no attention between views: no other one is known to show the same place"
 """What is left out of views that stand by themselves."""
 
 log = logging.getLogger(__name__)
@@ -129,7 +129,7 @@ class CycleGanTurboTransfer:
         mutual = self.settings.mutual
         if mutual is None or not mutual.neighbours or self._count < 2:
             return ""
-        return ALONE if view.has_pose else WITHOUT_POSE
+        return NO_OVERLAP if view.has_pose else WITHOUT_POSE
 
     def _made(self, entries: Sequence["_Entry"], talk: Exchange | None) -> list[Picture]:
         """Run entries of one size through the network at once; display colour, 0..1."""
