@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.files.picture_file import read_color
+from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.pixels.sky_pixels import sure_sky
 
 HEIGHT, WIDTH, HORIZON = 180, 320, 90
@@ -107,5 +108,10 @@ def test_real_pictures_have_their_clouds_and_keep_their_walls(test_data):
     assert front[450:].mean() < 0.01
     assert front[250:600, 150:500].mean() == 0  # a white truck
     assert not sure_sky(read_color(cameras["CAM_FRONT_LEFT"])).pixels.any()  # beams of concrete
+    waymo = open_capture(test_data / "driving" / "waymo_frame")
+    stone = next(view for view in waymo if "SIDE_RIGHT" in view.name).image  # panels in a blue shade
+    for width in (480, 960):
+        small = cv2.resize(stone, (width, round(stone.shape[0] * width / stone.shape[1])), interpolation=cv2.INTER_AREA)
+        assert not sure_sky(small).pixels.any()
     night = test_data / "weather" / "bdd100k" / "9aa94005-ff1d4c9a.jpg"
     assert sure_sky(read_color(night)).sureness == 0

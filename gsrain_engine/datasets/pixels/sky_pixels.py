@@ -45,8 +45,9 @@ _EVEN_SHARE, _GRAIN = 0.4, 0.8
 _BLUE_PER_SURE, _BRIGHT_PER_SURE, _WORST_LEAD, _WHITE, _FOR_WHITE = 10.0, 8.0, -2.0, 97.0, 0.6
 """Blueness and lead in lightness over the brightest tenth of all else that each make a patch surely sky, the most that
 white things can speak against it, and what a patch gets that is as light as can be: sensors clip skies first."""
-_DIM, _DEEP_BLUE = 60.0, 15.0
-"""Lightness under which only a deep blue is a sky, and blueness from which it is one."""
+_DIM, _BRIGHT_SKY, _FINE_GRAIN, _DEEP_BLUE = 60.0, 80.0, 0.35, 15.0
+"""Lightness under which only a deep blue is a sky, lightness under which a sky that is not of a deep blue has no more
+than the finest grain, and blueness from which that blue is deep."""
 _COOL, _SUNLIT_WALL = 3.0, 10.0
 """b* of a sky below which it has no part over the other: that is a wall in the sun."""
 _SURE = (0.3, 0.9)
@@ -239,7 +240,8 @@ def _sureness(
         return 0.0
     light, _, yellow = (float(each) for each in np.median(lab[patch], axis=0))
     blueness = rest.blue_cast - yellow
-    if light < _DIM and blueness < _DEEP_BLUE:
+    is_doubtful = light < _BRIGHT_SKY and _grain(patch, lab, soft) > _FINE_GRAIN
+    if blueness < _DEEP_BLUE and (light < _DIM or is_doubtful):
         return 0.0
     lead = max((light - rest.brightest) / _BRIGHT_PER_SURE, _WORST_LEAD)
     sure = blueness / _BLUE_PER_SURE + lead + _FOR_WHITE * (light >= _WHITE)
@@ -254,11 +256,17 @@ def _is_even(
     step: Float32[np.ndarray, "h w"],
 ) -> bool:
     """Whether a patch has no grain, mostly soft steps, and ends above the road."""
-    inner = cv2.erode(patch.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    if not inner.any() or np.flatnonzero(patch.any(axis=1))[-1] > _LOWEST_ROW * patch.shape[0]:
+    if np.flatnonzero(patch.any(axis=1))[-1] > _LOWEST_ROW * patch.shape[0]:
         return False
-    grain = float(np.median(np.abs(lab[..., 0] - soft[..., 0])[inner]))
-    return bool((step[patch] < _EVEN).mean() >= _EVEN_SHARE and grain <= _GRAIN)
+    return bool((step[patch] < _EVEN).mean() >= _EVEN_SHARE and _grain(patch, lab, soft) <= _GRAIN)
+
+
+def _grain(
+    patch: Bool[np.ndarray, "h w"], lab: Float32[np.ndarray, "h w 3"], soft: Float32[np.ndarray, "h w 3"]
+) -> float:
+    """Median difference of lightness from what is around, inside a patch; that of stone is larger than of cloud."""
+    inner = cv2.erode(patch.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return float(np.median(np.abs(lab[..., 0] - soft[..., 0])[inner])) if inner.any() else np.inf
 
 
 def _with_gaps_and_rim(sky: Bool[np.ndarray, "h w"], lab: Float32[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
