@@ -58,7 +58,7 @@ _WIRE, _WIRES = 8, 3
 _BODY = 7
 """Pixels across what hangs together: the edge of a gray truck is soft for a few, where a cloud of its gray is behind
 it, and bright ledges of a wall run out of a sky."""
-_MIXED = (0.65, 0.45)
+_MIXED = (0.75, 0.45)
 """Parts of the light and of the blue of the sky around twigs from which a mixture with them shows it; blue cars under a
 sky are darker."""
 _ALIKE = 12.0
