@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from gsrain_engine.appearance.before_and_after import BeforeAndAfter
 from gsrain_engine.appearance.methods import open_transfer
-from gsrain_engine.appearance.transfer import RainyView
+from gsrain_engine.appearance.transfer import LeftOut, RainyView
 from gsrain_engine.appearance.transfer_record import TransferRecord
 from gsrain_engine.appearance.transferred_folder import check_transferred_folder, write_transferred
 from gsrain_engine.render.pictures import write_sheet
@@ -52,6 +52,8 @@ def transfer(
     record = TransferRecord(how.method, opened.name, told, opened.to_world)
     rainy = write_transferred(output, model.transferred(opened.views), record, opened.mask)
     numbers = {"method": how.method} | _followed(rainy, len(opened.views), sheet)
+    for note in numbers["notes"]:
+        print(note)
     print(f"{output}: {numbers['views']} rainy views of {opened.name} in {numbers['seconds']:.1f} s")
     if sheet is not None:
         print(sheet)
@@ -61,10 +63,11 @@ def transfer(
 def _followed(rainy: Iterator[RainyView], count: int, sheet: Path | None) -> dict[str, Any]:
     """Make the views, with a bar; return the numbers of `--json`."""
     started, films, pictures = time.perf_counter(), list[float](), BeforeAndAfter(count)
-    made = 0
+    made, left_out = 0, LeftOut()
     with progress_bar("Rainy views", count, draws=True) as advance:
         for view in rainy:
             made += 1
+            left_out.add(view)
             if view.film is not None:
                 films.append(float(view.film.mean()))
             if sheet is not None:
@@ -78,4 +81,5 @@ def _followed(rainy: Iterator[RainyView], count: int, sheet: Path | None) -> dic
         "seconds": round(seconds, 3),
         "seconds_per_view": round(seconds / max(made, 1), 3),
         "film_share_mean": round(float(np.mean(films)), 5) if films else None,
+        "notes": list(left_out.sentences),
     }

@@ -7,6 +7,9 @@ from jaxtyping import Float32
 
 from gsrain_engine.scene.camera import Camera
 
+_LEAST_KNOWN = 0.5
+"""Of the depth below the sky: a lidar's beams reach 0.7 and more, a few thousand triangulated points 0.2 to 0.4."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClearView:
@@ -28,6 +31,21 @@ class ClearView:
     """Share of vehicles, 0..1; 0 where it is not known."""
     sensor: str = ""
     """Which camera of a rig it is; empty where there is only one."""
+    has_pose: bool = True
+    """Whether it is known where the camera stood: only then can other views show the same place."""
+
+    known_share: float = 1.0
+    """Part of the picture below the sky whose depth was measured or drawn; the rest of the depth is a guess."""
+
+    @property
+    def has_surfaces(self) -> bool:
+        """Whether it is known what is where: else road, car and wall can't be told apart."""
+        return self.known_share >= _LEAST_KNOWN and self.has_depth
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether the distance of any pixel is known."""
+        return bool((self.depth > 0).any())
 
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)

@@ -1,5 +1,6 @@
 """What every appearance transfer is: clear views in, rainy views out."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -19,6 +20,29 @@ class RainyView:
     """Display colour (sRGB), 0..1, of the clear picture's size."""
     film: Float32[np.ndarray, "h w"] | None = None
     """Share of what water mirrors, 0..1: it moves with the eye, so that other views rightly disagree about it."""
+    left_out: str = ""
+    """What the transfer could not do for this view and why, as the end of a sentence; empty where it did all."""
+
+
+class LeftOut:
+    """Counts what a transfer could not do, over all views."""
+
+    def __init__(self) -> None:
+        self._views, self._reasons = 0, Counter[str]()
+
+    def add(self, view: RainyView) -> None:
+        """Count a view."""
+        self._views += 1
+        if view.left_out:
+            self._reasons[view.left_out] += 1
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Return one sentence a reason, with the number of views."""
+        return tuple(
+            f"{count} of {self._views} {'view' if self._views == 1 else 'views'}: {reason}."
+            for reason, count in self._reasons.items()
+        )
 
 
 @runtime_checkable

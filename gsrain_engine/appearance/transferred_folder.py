@@ -22,7 +22,7 @@ from gsrain_engine.datasets.other_pictures import flat_name
 from gsrain_engine.scene.atomic_files import whole_folder
 
 from .clear_view import ClearView
-from .transfer import RainyView
+from .transfer import LeftOut, RainyView
 from .transfer_record import TRANSFER, TransferRecord, read_record, write_record
 
 _CLEAR = "clear"
@@ -50,7 +50,7 @@ def write_transferred(
     Args:
         folder: Where to; see `check_transferred_folder`.
         views: Rainy views in the world.
-        record: How they are made.
+        record: How they are made; what could not be done for some of the views is added to its notes.
         mask: By name of a view, which of its pixels may be learned from; None means all.
 
     Raises:
@@ -60,6 +60,7 @@ def write_transferred(
     folder.parent.mkdir(parents=True, exist_ok=True)
     names: set[str] = set()
     rows: list[dict[str, Any]] = []
+    left_out, has_poses = LeftOut(), False
     with whole_folder(folder) as beside:
         (beside / _CLEAR).mkdir()
         for rainy in views:
@@ -69,11 +70,13 @@ def write_transferred(
             names.add(view.name)
             rows.append(write_view(beside, view))
             _write_shares(beside, view.name, rainy)
+            left_out.add(rainy)
+            has_poses |= rainy.clear.has_pose
             yield rainy
         if not rows:
             raise ValueError(f"{folder}: there is no view to write")
         write_cameras(beside, rows)
-        write_record(beside, record)
+        write_record(beside, replace(record, notes=left_out.sentences), has_poses=has_poses)
         replaced = _set_aside(folder)
     shutil.rmtree(replaced, ignore_errors=True)
 
@@ -118,6 +121,7 @@ class TransferredViews(Sequence[RainyView]):
             _share(self._folder / f"{view.name}.sky_share.png", nothing),
             _share(self._folder / f"{view.name}.vehicles.png", nothing),
             view.sensor,
+            has_pose=self._capture.has_poses,
         )
         film = self._folder / f"{view.name}.film.png"
         image = view.image.astype(np.float32) / np.float32(255)

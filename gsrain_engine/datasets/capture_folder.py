@@ -3,7 +3,8 @@
 NAME.png is the picture, NAME.depth.npy depth in metres (float32), NAME.normals.npy world normals (float16),
 NAME.labels.png class numbers, NAME.mask.png and NAME.sky.png are white where True. cameras.json holds for each view its
 name, time and camera, and its sensor, lens and attributes where it has them. The world has metres and z up, unless
-world.json says otherwise: {"up": [x, y, z], "is_metric": false}.
+world.json says otherwise: {"up": [x, y, z], "is_metric": false}; with "has_poses": false the cameras' poses in it are
+not known.
 """
 
 import json
@@ -25,6 +26,7 @@ from .files.json_file import read_json_object, read_json_rows
 from .files.picture_file import picture_size, read_color, read_labels, read_mask
 
 CAMERAS, WORLD = "cameras.json", "world.json"
+_NO_POSES = "No poses: these pictures were made of pictures without any; good for evaluation, not for reconstruction."
 _LARGEST = 1e12
 """Larger numbers are those of damaged files."""
 
@@ -95,28 +97,30 @@ def read_capture_folder(path: Path) -> Capture:
         raise CaptureError(
             f"{file}: none of its {len(problems)} views can be used ({(problems or ['it lists none'])[0]})"
         )
-    up, is_metric = _world(folder / WORLD)
-    return Capture(folder.resolve().name, tuple(views), is_metric=is_metric, up=up, problems=tuple(problems))
+    up, is_metric, has_poses = _world(folder / WORLD)
+    told = (*(() if has_poses else (_NO_POSES,)), *problems)
+    return Capture(folder.resolve().name, tuple(views), is_metric=is_metric, up=up, has_poses=has_poses, problems=told)
 
 
-def write_world(folder: Path, up: tuple[float, float, float], *, is_metric: bool) -> None:
-    """Say beside the views which way is up in their world, and whether its unit is the metre."""
-    (folder / WORLD).write_text(json.dumps({"up": list(up), "is_metric": is_metric}) + "\n", encoding="utf-8")
+def write_world(folder: Path, up: tuple[float, float, float], *, is_metric: bool, has_poses: bool = True) -> None:
+    """Write which way is up in the views' world, whether its unit is the metre, and whether poses are known in it."""
+    values = {"up": list(up), "is_metric": is_metric} | ({} if has_poses else {"has_poses": False})
+    (folder / WORLD).write_text(json.dumps(values) + "\n", encoding="utf-8")
 
 
-def _world(file: Path) -> tuple[tuple[float, float, float], bool]:
-    """Read which way is up, and whether the unit is the metre; z and yes where there is no such file."""
+def _world(file: Path) -> tuple[tuple[float, float, float], bool, bool]:
+    """Read which way is up, whether the unit is the metre, and whether poses are known; z, yes and yes without file."""
     if not file.is_file():
-        return (0.0, 0.0, 1.0), True
+        return (0.0, 0.0, 1.0), True, True
     values = read_json_object(file)
     try:
         x, y, z = (_number(each, str(file), "up") for each in values["up"])
-        is_metric = values["is_metric"]
+        is_metric, has_poses = values["is_metric"], values.get("has_poses", True)
     except (KeyError, TypeError, ValueError) as error:
         raise CaptureError(f"{file}: expected up (three numbers) and is_metric ({error})") from None
-    if not isinstance(is_metric, bool) or not 1e-6 < math.hypot(x, y, z) < 1e6:
-        raise CaptureError(f"{file}: is_metric must be true or false, and up a direction")
-    return (x, y, z), is_metric
+    if not isinstance(is_metric, bool) or not isinstance(has_poses, bool) or not 1e-6 < math.hypot(x, y, z) < 1e6:
+        raise CaptureError(f"{file}: is_metric and has_poses must be true or false, and up a direction")
+    return (x, y, z), is_metric, has_poses
 
 
 def _record(view: View) -> dict[str, Any]:

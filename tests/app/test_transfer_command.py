@@ -150,3 +150,58 @@ def test_bad_input_ends_in_one_line(files, capsys, monkeypatch, changes, expecte
     assert expected in told
     assert len(told.strip().splitlines()) == 1
     assert not (files / "out").exists()
+
+
+def street_pictures(folder: Path) -> Path:
+    """Write two pictures without poses: a gray road under a blue sky, and a car on it that is as gray."""
+    folder.mkdir()
+    for name, at in (("a", 40), ("b", 60)):
+        image = np.empty((90, 160, 3), np.float32)
+        image[:45], image[45:] = (95, 145, 225), (110, 110, 110)
+        image[50:72, at : at + 40] = (70, 70, 75)
+        image[54:58, at + 4 : at + 36] = image[62:66, at + 4 : at + 36] = (112, 112, 111)
+        image[45:] += np.random.default_rng(at).normal(0, 3, (45, 160, 1))
+        Image.fromarray(np.clip(image, 0, 255).astype(np.uint8)).save(folder / f"{name}.png")
+    return folder
+
+
+def test_pictures_alone_are_not_made_wet_and_that_is_said(tmp_path, capsys):
+    pictures, out, numbers = street_pictures(tmp_path / "pictures"), tmp_path / "out", tmp_path / "n.json"
+    assert run(["transfer", str(pictures), "-o", str(out), "--json", str(numbers)]) == 0
+    told = json.loads(numbers.read_text())
+    sentence = "2 of 2 views: only light, colors and the sky where it is sure"
+    assert [line for line in capsys.readouterr().out.splitlines() if line.startswith(sentence)] == told["notes"]
+    views = read_transferred(out)
+    assert views.record.notes == tuple(told["notes"])
+    for view in views:
+        assert view.film.max() == 0
+        assert view.clear.sky[:40].min() > 0.9 and view.clear.sky[50:].max() < 0.05
+        assert not view.clear.depth.any()
+        assert not view.clear.has_pose
+    capture = open_capture(out)
+    assert not capture.has_poses and "No poses" in capture.problems[0]
+    assert run(["evaluate", "consistency", str(out)]) == 2
+    assert "it is not known where its pictures were taken" in capsys.readouterr().err
+    assert run(["evaluate", "consistency", str(pictures)]) == 2
+    assert "it is not known where its pictures were taken" in capsys.readouterr().err
+
+
+def test_pictures_without_poses_do_not_attend_to_each_other(tmp_path, capsys):
+    pytest.importorskip("torch")
+    pytest.importorskip("diffusers")
+    from gsrain_engine.appearance.cyclegan_turbo.architecture import tiny
+    from gsrain_engine.appearance.cyclegan_turbo.lora import LoraRanks
+    from gsrain_engine.appearance.cyclegan_turbo.model import build
+    from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights
+
+    weights, pictures = tmp_path / "tiny.safetensors", street_pictures(tmp_path / "pictures")
+    save_weights(build(tiny(), False, LoraRanks(2, 2)), weights)
+    command = ["transfer", str(pictures), "--method", "cyclegan-turbo", "--weights", str(weights), "--side", "64"]
+    assert run([*command, "-o", str(tmp_path / "with")]) == 0
+    sentence = "2 of 2 views: no attention between views: it is not known where their cameras stood."
+    assert sentence in capsys.readouterr().out.splitlines()
+    assert read_transferred(tmp_path / "with").record.notes == (sentence,)
+    assert run([*command, "-o", str(tmp_path / "without"), "--no-mutual-attention"]) == 0
+    assert "attention" not in capsys.readouterr().out
+    for name in ("a.png", "b.png"):
+        assert (tmp_path / "with" / name).read_bytes() == (tmp_path / "without" / name).read_bytes()

@@ -64,6 +64,8 @@ def consistency(
     check_writable(sheet, report, json)
     compared = [open_compared(folder, width) for folder in folders]
     pairs = compared[0].chosen(neighbours)
+    if not pairs and not compared[0].has_poses:
+        raise ValueError(f"{folders[0]}: it is not known where its pictures were taken; expected a capture with poses")
     if not pairs:
         raise ValueError(f"{folders[0]}: no two views show the same place, or their depth is not known")
     own_pairs = [each.alike(compared[0], pairs) for each in compared]

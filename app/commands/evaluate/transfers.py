@@ -131,6 +131,7 @@ def _numbers(
         "seed": told.seed,
         "shown": list(result.shown),
         "kept": list(result.kept),
+        "notes": list(result.notes),
         "rows": [plain(row) for row in result.rows],
         "settings": msgspec.to_builtins(told, enc_hook=str),
     }

@@ -23,6 +23,7 @@ def transfers_page(result: ComparisonResult, told: Comparison, facts: Mapping[st
     notes = [f"{row.name}: {warning}." for row in rows for warning in row.distance.warnings]
     if not result.has_cameras:
         notes.append(_WITHOUT_CAMERAS)
+    notes += result.notes
     methods = {f"method {each.name}": _changed(each) for each in told.methods}
     about = {"extractor": distance.extractor, "resamples": told.resamples, "seed": told.seed}
     values = tuple(tuple(row.values.values()) for row in rows)
@@ -72,6 +73,8 @@ def print_transfers(result: ComparisonResult, console: Console) -> None:
     )
     if not result.has_cameras:
         console.print(_WITHOUT_CAMERAS, soft_wrap=True)
+    for note in result.notes:
+        console.print(note, soft_wrap=True, markup=False)
     if result.kept:
         console.print(f"Not run again, for their pictures stand: {', '.join(result.kept)}.", soft_wrap=True)
     for row in result.rows:

@@ -31,6 +31,13 @@ Tensor = Any
 _LEVELS = 8
 """The UNet halves its latent three times: tiles begin where its coarsest tokens do."""
 
+_LEAST_MATCHED = 0.02
+"""Share of a view's pixels with a place in another one from which it attends to it."""
+
+WITHOUT_POSE = "no attention between views: it is not known where their cameras stood"
+NO_OVERLAP = "no attention between views: no other one is known to show the same place"
+"""What is left out of views that stand by themselves."""
+
 log = logging.getLogger(__name__)
 
 
@@ -53,10 +60,11 @@ class CycleGanTurboTransfer:
         weight = model.unet.conv_out.weight
         self._device, self._dtype = weight.device, weight.dtype
         self._has_warned = False
+        self._count = 0
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
         """Make views rainy, in the order of the plan; see `Transfer`. Holds what later views look at, nothing else."""
-        mutual = self.settings.mutual
+        mutual, self._count = self.settings.mutual, len(views)
         plan = planned(views, mutual)
         if mutual is None or not plan.last_use():
             yield from self._steps(views, plan, None)
@@ -96,8 +104,11 @@ class CycleGanTurboTransfer:
     ) -> Iterator[RainyView]:
         frames = [self._frame(held[index]) for index in step.views]
         entries: list[_Entry] = []
+        looks: dict[int, bool] = {}
         for index, sources, frame in zip(step.views, step.sources, frames, strict=True):
-            places = tuple((source, correspondence(held[index], held[source])) for source in sources)
+            found = ((source, correspondence(held[index], held[source])) for source in sources)
+            places = tuple(each for each in found if each[1].valid.mean() >= _LEAST_MATCHED)
+            looks[index] = bool(places) or index in is_source
             entries += [
                 _Entry(frame, window, Element(index, window, places, index in is_source)) for window in frame.windows
             ]
@@ -110,7 +121,15 @@ class CycleGanTurboTransfer:
             parts, made = made[: len(frame.windows)], made[len(frame.windows) :]
             small = blended(parts, frame.windows, self.settings.overlap_px)
             clear = held[index]
-            yield RainyView(clear, brought_back(small, frame.picture, clear.image, self.settings.detail))
+            image = brought_back(small, frame.picture, clear.image, self.settings.detail)
+            yield RainyView(clear, image, left_out="" if looks[index] else self._why_alone(clear))
+
+    def _why_alone(self, view: ClearView) -> str:
+        """Say why a view attends to no other one and none to it; nothing where that was not asked for."""
+        mutual = self.settings.mutual
+        if mutual is None or not mutual.neighbours or self._count < 2:
+            return ""
+        return NO_OVERLAP if view.has_pose else WITHOUT_POSE
 
     def _made(self, entries: Sequence["_Entry"], talk: Exchange | None) -> list[Picture]:
         """Run entries of one size through the network at once; display colour, 0..1."""

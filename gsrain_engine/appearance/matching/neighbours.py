@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
@@ -19,9 +20,14 @@ _LOOKUP_PX = 96
 _AGREES = 0.1
 """Share of the distance by which a point and the coarse depth around it may differ."""
 
-_LEAST_SHARE = 0.02
-"""Views that share less than this are no neighbours."""
+_LEAST_SHARE, _LEAST_SURFACES = 0.05, 0.02
+"""Views that share less than this of the picture, or of it below the sky, are no neighbours: all skies are alike. The
+cameras of rigs share 0.06 to 0.2."""
+_SAME_PLACE, _LEAST_ALIKE = 1e-6, 0.6
+"""Difference of poses up to which a camera did not move, and correlation of edges from which two pictures then show the
+same place: those of a camera at rest in rain have 0.9, of one drive a second later 0.5, of unrelated streets 0.1."""
 
+_EDGES_PX = (48, 32)
 _MEASURED_SHARE = 0.25
 _FAR_M = 1e4
 
@@ -41,21 +47,25 @@ class _Sketch:
     """Places in the picture that were looked at; not all have depth."""
     depth: Float32[np.ndarray, "h w"]
     """In small; the sky very far away, 0 where it is not known."""
+    edges: Float32[np.ndarray, " k"]
+    """Edges of the picture in small, of mean 0 and length 1."""
+    has_pose: bool
 
 
 def neighbours(views: Sequence[ClearView], count: int) -> list[tuple[int, ...]]:
     """Return for each view the others, at most `count`, that show most of its picture, the best first.
 
-    Neighbours in time usually win. So that the cameras of a rig learn of each other, the last place goes to the best
+    Views whose pose is not known have none, and views that share little but the sky are none. Neighbours in time
+    usually win. So that the cameras of a rig learn of each other, the last place goes to the best
     view of another camera where none is among two or more. Each view is asked for once, in order; views without depth
     have no neighbours. Among equals the nearer in time, then the earlier wins.
     """
     sketches = [_sketched(view) for view in views]
     chosen: list[tuple[int, ...]] = []
     for i, sketch in enumerate(sketches):
-        shares = [_share_seen(sketch, other) if i != j else 0.0 for j, other in enumerate(sketches)]
+        shares = [_share(sketch, other) if i != j else 0.0 for j, other in enumerate(sketches)]
         ranked = sorted(
-            (j for j, share in enumerate(shares) if share >= _LEAST_SHARE),
+            (j for j, share in enumerate(shares) if share > 0),
             key=lambda j: (-round(shares[j], 3), abs(sketches[j].time_s - sketch.time_s), j),
         )
         best = ranked[:count]
@@ -75,7 +85,16 @@ def _sketched(view: ClearView) -> _Sketch:
     points = (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
     every = max(camera.width // _LOOKUP_PX, 1)
     small = np.ascontiguousarray(depth[every // 2 :: every, every // 2 :: every])
-    return _Sketch(camera, view.sensor, view.time_s, points[z > 0], z[z > 0], len(z), small)
+    edges = _edges(view.image)
+    return _Sketch(camera, view.sensor, view.time_s, points[z > 0], z[z > 0], len(z), small, edges, view.has_pose)
+
+
+def _edges(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " k"]:
+    """Edges of a picture in small, of mean 0 and length 1; all 0 where it has none."""
+    small = cv2.resize(image.mean(axis=2), _EDGES_PX, interpolation=cv2.INTER_AREA)
+    edges = np.asarray(cv2.Laplacian(small, cv2.CV_32F)).ravel()
+    edges = edges - edges.mean()
+    return (edges / max(float(np.linalg.norm(edges)), 1e-6)).astype(np.float32)
 
 
 def _places_tried(depth: Float32[np.ndarray, "h w"]) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
@@ -96,8 +115,22 @@ def _far_sky(view: ClearView) -> Float32[np.ndarray, "h w"]:
     return np.where(view.sky > 0.5, _FAR_M, np.where(known, view.depth, 0)).astype(np.float32)
 
 
-def _share_seen(of: _Sketch, to: _Sketch) -> float:
-    """Share of a view's picture that another one shows too; what it shows larger or smaller counts by that ratio."""
+def _share(of: _Sketch, to: _Sketch) -> float:
+    """Share of a view's picture that another one shows too; 0 where it can't be known, or is next to nothing."""
+    if not (of.has_pose and to.has_pose and of.depth.any() and to.depth.any()):
+        return 0.0
+    moved = np.abs(of.camera.world_to_camera - to.camera.world_to_camera).max()
+    if moved <= _SAME_PLACE and float(of.edges @ to.edges) < _LEAST_ALIKE:
+        return 0.0  # the pose of both is a stand-in for one that nobody knows
+    share, surfaces = _share_seen(of, to)
+    return share if share >= _LEAST_SHARE and surfaces >= _LEAST_SURFACES else 0.0
+
+
+def _share_seen(of: _Sketch, to: _Sketch) -> tuple[float, float]:
+    """Share of a view's picture that another one shows too, and that without the sky.
+
+    What the other shows larger or smaller counts by that ratio.
+    """
     camera = to.camera
     x, y, z = camera.world_to_camera[:3, :3] @ of.points.T + camera.world_to_camera[:3, 3:]
     ahead = z > 1e-6
@@ -107,7 +140,8 @@ def _share_seen(of: _Sketch, to: _Sketch) -> float:
     inside = ahead & (u >= 0) & (u < 1) & (v >= 0) & (v < 1)
     seen = _is_seen(to.depth, u[inside], v[inside], z[inside])
     larger = (camera.fx / z[inside][seen]) / (of.camera.fx / of.distances[inside][seen])
-    return float(np.minimum(larger, 1 / larger).sum()) / max(of.tried, 1)
+    each = np.minimum(larger, 1 / larger) / max(of.tried, 1)
+    return float(each.sum()), float(each[of.distances[inside][seen] <= 0.5 * _FAR_M].sum())
 
 
 def _is_seen(

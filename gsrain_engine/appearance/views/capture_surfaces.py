@@ -1,7 +1,5 @@
-"""Where the surfaces and the sky of a capture's views are: from its depth, its lidar, its points, or the road alone."""
+"""Where the surfaces and the sky of a capture's views are: from its depth, its lidar, or its points."""
 
-from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
 
 import cv2
@@ -13,29 +11,28 @@ from gsrain_engine.datasets.geometry.lidar_depth import lidar_depth
 from gsrain_engine.datasets.pixels.completed_depth import completed_depth
 from gsrain_engine.datasets.pixels.measured_depth import measured_depths, static_sweeps
 from gsrain_engine.datasets.pixels.road_plane import road_depth, road_drop
-from gsrain_engine.datasets.pixels.sky_pixels import sky_masks
+from gsrain_engine.datasets.pixels.sky_pixels import sure_sky
 
 from .guided_filter import guided
-from .road_pixels import road_pixels
 
-_REFERENCES = 5
-"""Views that tell with each one what colour the sky has."""
 _FEATHER, _SKY_SPREAD = 0.02, 0.03
 """Radius, over the picture's width, in which the sky's edge is looked for, and how even its colour is there."""
+_TWIGS, _TWIG_NOISE, _TWIG_DARKNESS = 0.012, 0.04, 0.6
+"""Half width of what is thin, over the picture's; by how much it is darker at least, and by what part of the light
+around it when nothing of the sky shows through."""
 _GUESS, _GUESS_SPREAD = 0.04, 0.1
 """The same for depth that was not measured near by."""
-_BEAMS = 0.012
-"""Between measured pixels so far apart, over the width, depth is interpolated; farther away it is guessed."""
+_BEAMS, _AT_BEAM = 0.012, 0.006
+"""So near a measured pixel, over the width, depth is interpolated, and farther away guessed; so near it is no sky."""
 
 
 class CaptureSurfaces:
     """Tells depth and sky of views of one capture, view by view."""
 
-    def __init__(self, capture: Capture, references: Sequence[View]) -> None:
-        """Take a capture, and its views without distortion, which are read when they are needed."""
+    def __init__(self, capture: Capture) -> None:
+        """Take a capture, whose lidar and points are read when they are needed."""
         self._capture = capture
-        chosen = np.unique(np.linspace(0, len(references) - 1, min(_REFERENCES, len(references))).round().astype(int))
-        self._reference_views = [references[i] for i in chosen]
+        self._last: tuple[View, Float32[np.ndarray, "_ _"]] | None = None
 
     @property
     def metres_per_unit(self) -> float:
@@ -45,42 +42,47 @@ class CaptureSurfaces:
         return EGO_HEIGHT_M / self._drop
 
     def sky(self, view: View) -> Float32[np.ndarray, "h w"]:
-        """Share of sky in each pixel of a view without distortion: as the capture says, else by colour and place.
+        """Share of sky in each pixel of a view without distortion: as the capture says, else what is surely sky.
 
-        The edge of what is found by colour follows leaves and wires: it is feathered along the picture's own edges.
+        The edge of what `sure_sky` finds follows leaves and wires: it is feathered along the picture's own edges. Where
+        a lidar measured something no sky is.
         """
         own = view.sky
         if own is not None:
             return own.astype(np.float32)
-        others = [each for each in self._references if each.name != view.name]
-        here = self._measured(view)
-        measured = [here, *(self._reference_depths[each.name] for each in others)]
-        found = sky_masks([view, *others], measured, self._capture.up)[0]
-        if not here.any():
-            found = _from_the_top(found)
-        return _feathered(found, view.image)
+        sure = sure_sky(view.image).pixels
+        if self._capture.sweeps:
+            sure = sure & ~_near(self._measured(view), _AT_BEAM)
+        return _feathered(sure, view.image)
+
+    def known_share(self, view: View, sky: Bool[np.ndarray, "h w"]) -> float:
+        """Part of a view below its sky that was measured, or lies next to what was: other depth is a guess."""
+        if view.depth_source is not None:
+            return 1.0
+        return float(_near(self._measured(view), _BEAMS)[~sky].mean()) if not sky.all() else 0.0
 
     def depth(self, view: View, sky: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-        """Depth along the view axis in the capture's unit; 0 in the sky, and where nothing can be told.
+        """Depth along the view axis in the capture's unit; 0 in the sky, and in views of which nothing was measured.
 
         Lidar and points are made dense, see `completed_depth`; what is guessed far from them follows the picture's
-        edges. Where nothing was measured at all, the pixels that look
-        like the road before the camera lie on a plane `EGO_HEIGHT_M` under it.
+        edges. A picture alone does not say what is road and what is a car upon it.
         """
         own = view.depth
         if own is not None:
             return np.where(sky, np.float32(0), own)
         measured = self._measured(view)
-        if measured.any():
-            road = None if self._drop is None else road_depth(view.camera, self._drop, self._capture.up)
-            return _along_edges(completed_depth(measured, sky, road), measured, view.image)
-        drop = EGO_HEIGHT_M / self.metres_per_unit if self._drop is None else self._drop
-        plane = road_depth(view.camera, drop, self._capture.up)
-        is_road = road_pixels(view.image, np.isfinite(plane) & ~sky)
-        return np.where(is_road, plane, np.float32(0))
+        if not measured.any():
+            return measured
+        road = None if self._drop is None else road_depth(view.camera, self._drop, self._capture.up)
+        return _along_edges(completed_depth(measured, sky, road), measured, view.image)
 
     def _measured(self, view: View) -> Float32[np.ndarray, "h w"]:
-        """Sparse depth: of the static scene at any time, and of what moves at the view's own."""
+        """Sparse depth: of the static scene at any time, and of what moves at the view's own; the last one stays."""
+        if self._last is None or self._last[0] is not view:
+            self._last = (view, self._newly_measured(view))
+        return self._last[1]
+
+    def _newly_measured(self, view: View) -> Float32[np.ndarray, "h w"]:
         static = measured_depths(self._capture, [view], self._static)[0]
         if not self._capture.sweeps or view.depth_source is not None:
             return static
@@ -93,14 +95,6 @@ class CaptureSurfaces:
         return static_sweeps(self._capture)
 
     @cached_property
-    def _references(self) -> list[View]:
-        return [replace(view, image_source=view.image) for view in self._reference_views]
-
-    @cached_property
-    def _reference_depths(self) -> dict[str, Float32[np.ndarray, "_ _"]]:
-        return {view.name: self._measured(view) for view in self._references}
-
-    @cached_property
     def _drop(self) -> float | None:
         """How far the road lies under the cameras, where only triangulated points are known."""
         points = self._capture.points_m
@@ -109,12 +103,10 @@ class CaptureSurfaces:
         return road_drop(points, self._capture.views, self._capture.up)
 
 
-def _from_the_top(sky: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Keep the patches that hang together with the picture's upper edge, wires and twigs between them passed by."""
-    gap = max(sky.shape[1] // 60, 3)
-    closed = cv2.morphologyEx(sky.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((gap, gap), np.uint8))
-    parts = np.asarray(cv2.connectedComponents(closed)[1], np.int64)
-    return sky & np.isin(parts, np.unique(parts[:2][closed[:2] > 0]))
+def _near(depth: Float32[np.ndarray, "h w"], share: float) -> Bool[np.ndarray, "h w"]:
+    """Pixels no farther from a measured one than a share of the picture's width: beams are several pixels apart."""
+    reach = 2 * max(round(share * depth.shape[1]), 1) + 1
+    return cv2.dilate((depth > 0).astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0
 
 
 def _feathered(sky: Bool[np.ndarray, "h w"], image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
@@ -126,16 +118,24 @@ def _feathered(sky: Bool[np.ndarray, "h w"], image: UInt8[np.ndarray, "h w 3"]) 
     guide = image.astype(np.float32) / np.float32(255)
     share = guided(sky.astype(np.float32), guide, np.ones_like(sky), radius, _SKY_SPREAD)
     # The fit is a little flat: its middle part is stretched to the whole range.
-    return np.where(edge, np.clip((share - 0.1) / 0.8, 0, 1), sky).astype(np.float32)
+    return (np.where(edge, np.clip((share - 0.1) / 0.8, 0, 1), sky) * _between_twigs(guide)).astype(np.float32)
+
+
+def _between_twigs(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
+    """Share of light that passes what is thin and darker than all around it; 1 elsewhere, in clouds too."""
+    light = image.mean(axis=2)
+    size = 2 * max(round(_TWIGS * image.shape[1]), 1) + 1
+    open_light = cv2.morphologyEx(light, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+    darker = np.clip(open_light - light - _TWIG_NOISE, 0, 1) / np.maximum(_TWIG_DARKNESS * open_light, 1e-3)
+    return np.clip(1 - darker, 0, 1).astype(np.float32)
 
 
 def _along_edges(
     depth: Float32[np.ndarray, "h w"], measured: Float32[np.ndarray, "h w"], image: UInt8[np.ndarray, "h w 3"]
 ) -> Float32[np.ndarray, "h w"]:
     """Let depth far from all that was measured follow the picture's edges; 0 stays 0."""
-    beam, radius = (max(round(part * depth.shape[1]), 2) for part in (_BEAMS, _GUESS))
-    window = np.ones((2 * beam + 1, 2 * beam + 1), np.uint8)
-    guessed = (cv2.dilate((measured > 0).astype(np.uint8), window) == 0) & (depth > 0)
+    radius = max(round(_GUESS * depth.shape[1]), 2)
+    guessed = ~_near(measured, _BEAMS) & (depth > 0)
     if not guessed.any():
         return depth
     inverse = np.where(depth > 0, 1 / np.where(depth > 0, depth, 1), 0).astype(np.float32)

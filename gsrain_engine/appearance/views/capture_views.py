@@ -9,7 +9,6 @@ from gsrain_engine.scene.scene import rotation_to_z_up
 
 from ..clear_view import ClearView
 from ..normals.from_depth import normals_from_depth
-from .assumed_pitch import levelled
 from .capture_surfaces import CaptureSurfaces
 from .kept_views import KeptViews
 from .vehicle_pixels import vehicle_pixels
@@ -23,7 +22,8 @@ class CaptureViews(KeptViews):
         super().__init__(len(capture), self._view)
         self._capture = capture
         self._straight = [prepared(view, min(width_px, view.camera.width)) for view in capture]
-        self._surfaces = CaptureSurfaces(capture, self._straight)
+        self._surfaces = CaptureSurfaces(capture)
+        self._has_poses = capture.has_poses and not _stand_at_one_place(capture)
 
     @property
     def to_world(self) -> Float64[np.ndarray, "4 4"]:
@@ -38,11 +38,10 @@ class CaptureViews(KeptViews):
 
     def _view(self, index: int) -> ClearView:
         view, to_world = self._straight[index], self.to_world
-        if not self._capture.has_poses:
-            view = levelled(view)
         scale = np.float32(self._surfaces.metres_per_unit)
         sky = self._surfaces.sky(view)
         depth = self._surfaces.depth(view, sky > 0.5)
+        known = self._surfaces.known_share(view, sky > 0.5) if depth.any() else 0.0
         camera = view.camera.moved(to_world)
         own = view.normals
         turned = None if own is None else (own @ (to_world[:3, :3] / scale).T).astype(np.float32)
@@ -57,13 +56,26 @@ class CaptureViews(KeptViews):
             sky,
             vehicle_pixels(view, self._capture.boxes, depth).astype(np.float32),
             view.sensor,
+            has_pose=self._has_poses,
+            known_share=known,
         )
+
+
+def _stand_at_one_place(capture: Capture) -> bool:
+    """Whether poses are the same number time and again, and nothing measured speaks for a camera at rest."""
+    is_measured = (
+        capture.sweeps or capture.points_m is not None or any(view.depth_source is not None for view in capture)
+    )
+    first = capture[0].camera.world_to_camera
+    return len(capture) > 1 and not is_measured and all(
+        np.allclose(view.camera.world_to_camera, first, rtol=0, atol=1e-9) for view in capture
+    )  # fmt: skip
 
 
 def capture_views(capture: Capture, width_px: int) -> CaptureViews:
     """Views of a capture, with pictures at most so wide.
 
-    Depth comes from the capture's own, from its lidar or its points, made dense, or is that of a flat road; the sky
-    from its masks, or from colours above the horizon; vehicles from labels or boxes. What nobody knows is 0.
+    Depth comes from the capture's own, or from its lidar or its points, made dense; the sky from its masks, or from
+    colours and what was measured; vehicles from labels or boxes. What is not known is 0.
     """
     return CaptureViews(capture, width_px)

@@ -18,6 +18,9 @@ _LEAST_UP = 0.7
 _FARTHEST_M = 60.0
 _MOST_POINTS = 60_000
 _BAND_M = 0.1
+_UPRIGHT = 0.5
+"""Cosine between the picture's own down and the world's below which no ground is looked for: pictures are upright, so
+that the world's up is wrong, and its ground may be a wall."""
 _FADE = 0.25
 """Angle in radians over which what stands at the picture's edge is taken to go on beyond it."""
 
@@ -61,6 +64,8 @@ class PictureSurroundings:
 
 
 def _ground(view: ClearView) -> Ground | None:
+    if view.camera.world_to_camera[1, 2] > -_UPRIGHT:
+        return None
     level = (view.normals[..., 2] > _LEAST_UP) & (view.depth > 0) & (view.depth < _FARTHEST_M) & (view.vehicles < 0.5)
     points = world_points(view.depth, view.camera)[level]
     points = points[points[:, 2] < view.camera.position[2]]

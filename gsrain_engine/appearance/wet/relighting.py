@@ -42,6 +42,12 @@ _WHITE, _WHITE_WALL = 0.85, 0.55
 """Albedo of the whitest things, and what an upright one gets of a cloudy sky and a dark ground."""
 _LOST_EV, _GRAIN_M, _CLIPPED = 0.3, 12.0, (0.88, 0.98)
 """Unevenness of ground too bright for the camera, the period of its noise, and display values at which it is lost."""
+_DAYLIGHT = (0.08, 0.22)
+"""Median display brightness below the sky up to which a picture is of the night, and from which it is of the day."""
+_PICTURE_EV, _FLATTENED_PICTURE, _PICTURE_SATURATION = -0.35, 0.2, 0.75
+"""What a picture alone gets of a cloudy day: stops, share of its contrast in stops that goes, colour that stays."""
+_PICTURE_WHITE_EV = (-1.2, 0.0)
+"""Brightness over which contrast stays: a sky that is not sure, white before, is as bright as the cloud after."""
 _CONTACT_SHADE, _CONTACT_SHARE = 0.5, 0.02
 
 
@@ -80,6 +86,31 @@ def overcast_surfaces(view: ClearView, light: SceneLight, settings: WetSettings,
     colorful = (colorful + (1 - colorful) * surfaces.plants)[..., None]
     moved = np.maximum((grey + colorful * (color - grey)) * np.exp2(tint), 0) * gain[..., None]
     return _no_brighter_than_cloud(moved, surfaces, settings)
+
+
+def daylight(view: ClearView) -> float:
+    """Return from the brightness of a picture's lower parts whether it was taken by day: 0 at night, 1 by day."""
+    lower = view.image[view.sky < 0.1].mean(axis=-1)
+    return 0.0 if not lower.size else float(smoothstep(*_DAYLIGHT, np.median(lower, keepdims=True))[0])
+
+
+def overcast_picture(view: ClearView, settings: WetSettings) -> Image:
+    """Everything but the sky under cloud, linear light, where nothing is known of the surfaces: light and colour alone.
+
+    One curve for the whole picture, which keeps to the order of brightness: contrast shrinks about the picture's
+    middle, by day the exposure falls, colours fade, and the light turns cooler. No pixel is taken for a road, a wall
+    or a vehicle.
+    """
+    day = daylight(view)
+    color = srgb_to_linear(without_sky(view)).astype(np.float32)
+    grey = (color @ LUMINANCE)[..., None]
+    level = np.log2(np.maximum(grey, 2**DARKEST_EV)).astype(np.float32)
+    lower = level[view.sky < 0.1]
+    middle = float(np.median(lower)) if lower.size else 0.0
+    flattened = settings.sun_removal * _FLATTENED_PICTURE * (1 - smoothstep(*_PICTURE_WHITE_EV, level))
+    shift = day * (_PICTURE_EV - flattened * (level - middle)) + settings.exposure_ev
+    tint = np.exp2(settings.coolness * CLOUD_TINT_EV)
+    return np.maximum((grey + _PICTURE_SATURATION * (color - grey)) * tint * np.exp2(shift), 0).astype(np.float32)
 
 
 def _no_brighter_than_cloud(light: Image, surfaces: Surfaces, settings: WetSettings) -> Image:

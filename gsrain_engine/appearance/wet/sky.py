@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 from jaxtyping import Float, Float32
+from msgspec.structs import replace as replace_fields
 
 from gsrain_engine.appearance.clear_view import ClearView
 from gsrain_engine.appearance.normals.from_depth import view_rays
@@ -51,10 +52,11 @@ def overcast_sky(directions: Float[np.ndarray, "h w 3"], settings: WetSettings) 
 def with_own_sky(view: ClearView) -> ClearView:
     """Count as sky what has its colour and stands in its midst, or beside it at a distance that is not known.
 
-    Scenes keep scraps of sky before the sky, and masks of pictures end where twigs begin.
+    Scenes keep scraps of sky before the sky, and masks of pictures end where twigs begin. Where distances are not
+    known, only what stands in its midst counts: hills and walls beside a sky may have its colour.
     """
     rising = view_rays(view.camera)[..., 2] > 0
-    is_open = (view.depth <= 0) & rising
+    is_open = (view.depth <= 0) & rising & view.has_surfaces
     share = view.sky
     for _ in range(_ROUNDS):
         behind, around = _local_sky(view.image, share)
@@ -65,6 +67,19 @@ def with_own_sky(view: ClearView) -> ClearView:
         if added < _LEAST_GROWTH:
             break
     return replace(view, sky=share)
+
+
+def like_own_sky(view: ClearView, settings: WetSettings, daylight: float) -> WetSettings:
+    """Return settings whose cloud is, but for the share of daylight, no brighter than the clear sky of a picture.
+
+    Where the light of a place is not known its own sky tells it: over a street at dusk no cloud is white.
+    """
+    sky = view.sky > 0.9
+    if not sky.any():
+        return settings
+    own = float(np.median(view.image[sky].mean(axis=-1)))
+    brightness = own + daylight * (settings.sky_brightness - own)
+    return replace_fields(settings, sky_brightness=float(np.clip(brightness, 0.3, settings.sky_brightness)))
 
 
 def without_sky(view: ClearView) -> Image:

@@ -16,14 +16,17 @@ from .ground import Ground
 from .lamps import lamp_share, with_lamps
 from .light import SceneLight, scene_light
 from .mist import in_mist
-from .relighting import before_cloud, overcast_surfaces
+from .relighting import before_cloud, daylight, overcast_picture, overcast_surfaces
 from .settings import WetSettings
-from .sky import with_own_sky
+from .sky import like_own_sky, with_own_sky
 from .surfaces import surfaces_of
 from .surroundings import Surroundings
 from .water import water_on
 
 Image = Float32[np.ndarray, "h w 3"]
+
+LIGHT_AND_SKY = "only light, colors and the sky where it is sure: their depth is not known, so nothing is made wet"
+"""What is left out of pictures alone."""
 
 
 class WetTransfer:
@@ -52,6 +55,10 @@ class WetTransfer:
         if settings.wetness == 0:
             return RainyView(view, view.image, np.zeros_like(view.sky))
 
+        if not view.has_surfaces:
+            dull = np.clip(linear_to_srgb(rainy_picture(view, settings)), 0, 1).astype(np.float32)
+            return RainyView(view, dull, np.zeros_like(view.sky), LIGHT_AND_SKY)
+
         def look(each: ClearView) -> Image:
             return rainy_light(each, light, settings, self._surroundings.ground(each))
 
@@ -61,6 +68,17 @@ class WetTransfer:
             left = ((1 - water.share) * water.through)[..., None]
             shown, film = left * shown + water.color, water.share
         return RainyView(view, np.clip(linear_to_srgb(shown), 0, 1).astype(np.float32), film)
+
+
+def rainy_picture(view: ClearView, settings: WetSettings) -> Image:
+    """Return a view of which no surfaces are known on a rainy day, linear light: its light, its colours and its sky.
+
+    Nothing is wet in it: a film or a puddle might lie on a vehicle or on a person.
+    """
+    clear = srgb_to_linear(view.image).astype(np.float32)
+    view = with_own_sky(view)
+    rainy = before_cloud(view, overcast_picture(view, settings), like_own_sky(view, settings, daylight(view)))
+    return ((1 - settings.wetness) * clear + settings.wetness * rainy).astype(np.float32)
 
 
 def rainy_light(view: ClearView, light: SceneLight, settings: WetSettings, ground: Ground | None) -> Image:

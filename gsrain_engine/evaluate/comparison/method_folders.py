@@ -41,6 +41,8 @@ class MethodFolder:
     """That its transfer took when it ran, model loading included; None where it was stopped before that was written."""
     was_kept: bool
     """Whether it stood there from an earlier run."""
+    notes: tuple[str, ...] = ()
+    """What its transfer could not do, a sentence each."""
 
 
 class Untouched:
@@ -115,7 +117,7 @@ def method_folder(
     """
     folder, record = output / method.name, record_of(method, source, comparison)
     if _stands(folder, record):
-        yield MethodFolder(method, folder, _read_seconds(folder), True)
+        yield MethodFolder(method, folder, _read_seconds(folder), True, read_record(folder).notes)
         return
     started = time.perf_counter()
     try:
@@ -127,7 +129,7 @@ def method_folder(
     seconds = round(time.perf_counter() - started, 3)
     with whole_file(folder / _SECONDS) as beside:
         beside.write_text(json.dumps({"seconds": seconds}) + "\n", encoding="utf-8")
-    yield MethodFolder(method, folder, seconds, False)
+    yield MethodFolder(method, folder, seconds, False, read_record(folder).notes)
 
 
 def _opened(method: ComparedMethod, source: ComparedSource) -> Transfer:

@@ -37,6 +37,8 @@ class ComparisonResult:
     """Methods whose pictures stood from an earlier run."""
     has_cameras: bool
     """Whether neighbouring views could be compared."""
+    notes: tuple[str, ...] = ()
+    """What the methods could not do, a sentence each."""
 
 
 def run_comparison(
@@ -79,7 +81,8 @@ def run_comparison(
     names = shown_views(folders, comparison.shown, comparison.columns)
     kept = tuple(each.method.name for each in folders if each.was_kept)
     figure = comparison_figure(folders, names)
-    return ComparisonResult(tuple(rows), figure, tuple(names), kept, source.has_cameras)
+    notes = tuple(f"{each.method.name}, {note}" for each in folders for note in each.notes)
+    return ComparisonResult(tuple(rows), figure, tuple(names), kept, source.has_cameras, notes)
 
 
 def _looked(

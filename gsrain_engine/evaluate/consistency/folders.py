@@ -33,6 +33,11 @@ class ComparedViews:
         """Name for tables and pictures."""
         return f"{self.folder.name} ({self.method})" if self.method else self.folder.name
 
+    @property
+    def has_poses(self) -> bool:
+        """Whether it is known where any of the views was taken."""
+        return any(self.views[i].clear.has_pose for i in range(len(self.views)))
+
     def chosen(self, count: int) -> list[tuple[int, int]]:
         """Pair each view with the `count` others that show most of it."""
         clear = KeptViews(len(self.views), lambda i: self.views[i].clear)

@@ -16,7 +16,11 @@ from gsrain_engine.appearance.clear_view import ClearView  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.architecture import tiny  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.model import build  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.settings import RunSettings  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.transfer import CycleGanTurboTransfer  # noqa: E402
+from gsrain_engine.appearance.cyclegan_turbo.transfer import (  # noqa: E402
+    NO_OVERLAP,
+    WITHOUT_POSE,
+    CycleGanTurboTransfer,
+)
 from gsrain_engine.appearance.transfer import Transfer  # noqa: E402
 from gsrain_engine.scene.camera import Camera, look_at  # noqa: E402
 
@@ -202,3 +206,19 @@ def replace_mutual(settings: RunSettings, **choice) -> RunSettings:
     import msgspec
 
     return msgspec.structs.replace(settings, mutual=MutualAttention(px_per_token=(8, 16, 32, 64), **choice))
+
+
+def test_views_without_poses_and_without_overlap_stay_alone_and_say_so(model, views):
+    settings = RunSettings(side_px=None)
+    alone = images(model, views, ALONE)
+    blind = [replace(view, has_pose=False) for view in views]
+    made = list(CycleGanTurboTransfer(model, settings).transferred(blind))
+    assert {each.left_out for each in made} == {WITHOUT_POSE}
+    for each in made:
+        np.testing.assert_array_equal(each.image, alone[each.clear.name])
+    partly = list(CycleGanTurboTransfer(model, settings).transferred([*views[:2], blind[2]]))
+    assert {each.clear.name: each.left_out for each in partly} == {"left": "", "centre": "", "right": WITHOUT_POSE}
+    far = [views[0], replace(wall("far", 500.0), time_s=1.0)]
+    assert {each.left_out for each in CycleGanTurboTransfer(model, settings).transferred(far)} == {NO_OVERLAP}
+    assert [each.left_out for each in CycleGanTurboTransfer(model, settings).transferred(blind[:1])] == [""]
+    assert {each.left_out for each in CycleGanTurboTransfer(model, ALONE).transferred(blind)} == {""}

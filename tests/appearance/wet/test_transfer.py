@@ -112,3 +112,53 @@ def test_grass_mirrors_nothing_even_where_it_is_bare(views, surroundings):
     image[90:96, 40:44] = (0.45, 0.4, 0.3)
     bare, paved = (rainy([each], surroundings)[0].film[85:100, 30:60] for each in (replace(view, image=image), view))
     assert bare.max() < 0.01 < paved.mean()
+
+
+def alone(view, **changes):
+    """Return a view of which nothing but the picture and its sky is known."""
+    nothing = np.zeros_like(view.depth)
+    return replace(view, depth=nothing, normals=np.zeros_like(view.normals), known_share=0.0, **changes)
+
+
+def test_pictures_alone_get_light_and_sky_and_no_water(views, surroundings):
+    view = alone(views[0])
+    made = rainy([view], surroundings)[0]
+    assert made.film.max() == 0
+    assert "not known" in made.left_out
+    assert rainy(views[:1], surroundings)[0].left_out == ""
+    sky, below = view.sky > 0.99, view.sky < 0.01
+    assert np.ptp(made.image[sky].mean(axis=0)) < 0.1  # it was blue
+    clear, wet = (np.round(each.image[below], 6) for each in (view, made))
+    assert (wet.mean(), wet.std()) < (clear.mean(), clear.std())
+    order = np.random.default_rng(0).permutation(np.flatnonzero(below))
+    mixed = view.image.copy().reshape(-1, 3)
+    mixed[np.flatnonzero(below)] = mixed[order]
+    again = rainy([replace(view, image=mixed.reshape(view.image.shape))], surroundings)[0].image.reshape(-1, 3)
+    # One curve for all pixels: nothing depends on where it is, so nothing can be taken for a road.
+    np.testing.assert_allclose(again[np.flatnonzero(below)], made.image.reshape(-1, 3)[order], atol=2e-5)
+
+
+def test_depth_that_is_mostly_guessed_makes_nothing_wet(views, surroundings):
+    made = rainy([replace(views[0], known_share=0.3)], surroundings)[0]
+    assert made.film.max() == 0 and made.left_out
+
+
+def test_a_night_stays_a_night(surroundings):
+    view = dry_view(texture=0.2)
+    dark = alone(view, image=(0.06 * view.image).astype(np.float32), sky=np.zeros_like(view.sky))
+    made = rainy([dark], surroundings)[0]
+    assert abs(float(made.image.mean() / dark.image.mean()) - 1) < 0.1
+    dusk = alone(view, image=(0.25 * view.image).astype(np.float32))
+    clouds = rainy([dusk], surroundings)[0].image[dusk.sky > 0.99]
+    assert clouds.mean() < 0.45
+
+
+def test_where_up_is_wrong_no_wall_is_a_ground(views, surroundings):
+    wall_is_down = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1]])
+    tipped = replace(
+        views[0],
+        camera=views[0].camera.moved(wall_is_down),
+        normals=(views[0].normals @ wall_is_down[:3, :3].T).astype(np.float32),
+    )
+    assert surroundings.ground(views[0]) is not None
+    assert surroundings.ground(tipped) is None
