@@ -76,6 +76,8 @@ def _kind(dataset: xr.Dataset, dimension: str) -> str:
     name = dimension.lower()
     if "time" in name:
         return "time"
+    if "method" in name:  # several estimates side by side
+        return "unknown"
     if any(word in name for word in _SPEED_WORDS):
         return "velocity"
     if any(word in name for word in _SIZE_WORDS):
