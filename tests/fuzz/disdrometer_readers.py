@@ -9,7 +9,7 @@ import numpy as np
 from gsrain_engine.rain.disdrometer.class_mask import read_class_mask
 from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
 from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError, Reading
-from gsrain_engine.rain.fitting.calibrate_files import open_measured
+from gsrain_engine.rain.fitting.measured_file import open_measured
 from gsrain_engine.rain.measured_weather import from_spectra
 from parsivel_text import DRY, locarno_line, rain, station_line, velocity_major
 from tests.rain.disdrometer.test_files import telegram, thies_line

@@ -12,7 +12,7 @@ from gsrain_engine.rain.disdrometer.parsivel_asdo import is_parsivel_asdo, read_
 from gsrain_engine.rain.disdrometer.parsivel_logs import parsivel_log_dialect, read_parsivel_log
 from gsrain_engine.rain.disdrometer.parsivel_telegrams import is_parsivel_telegrams, read_parsivel_telegrams
 from gsrain_engine.rain.disdrometer.rates_only import is_rainsense_intensity, read_rainsense_intensity
-from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError, Reading, SingleDrops
+from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError, Reading, SingleDrops, UnknownKindError
 from gsrain_engine.rain.disdrometer.tables import TableColumns, read_table, table_columns
 from gsrain_engine.rain.disdrometer.thies import is_thies, read_thies
 
@@ -24,21 +24,6 @@ _TEXTS = (
     (is_minute_table, read_minute_table),
     (is_rainsense_intensity, read_rainsense_intensity),
 )
-
-
-KNOWN_KINDS = (
-    "OTT Parsivel (telegrams, ASDO's text, station logs, Campbell TOA5, CSV of pyAtmosLogger and SCAMP, NetCDF of "
-    "Cloudnet, ARM and DISDRODB), Thies LNM (telegrams, NetCDF), Joss-Waldvogel RD-80 (text, ARM's NetCDF), "
-    "2DVD (ARM's NetCDF, NASA's tables), APU (NASA's tables), what gsrain disdrometer -o writes"
-)
-"""What `read_disdrometer` tells apart by itself, for people."""
-
-
-class UnknownKindError(DisdrometerFileError):
-    """A file of no kind that is known."""
-
-    def __init__(self, path: Path, what: str):
-        super().__init__(path, f"{what}; known are {KNOWN_KINDS}; columns of any other table: --columns FILE.yaml")
 
 
 def read_disdrometer(path: Path, columns: TableColumns | None = None) -> Reading:

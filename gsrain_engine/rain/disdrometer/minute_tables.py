@@ -44,8 +44,7 @@ def read_minute_table(path: Path, lines: list[str]) -> Reading:
         name, edges, area = "2DVD", TWO_DVD_EDGES_MM, np.full(_COUNTS, TWO_DVD_AREA_M2)
     else:
         name, edges, area = "APU (OTT Parsivel)", parsivel_classes.DIAMETER_EDGES_MM, parsivel_classes.AREA_M2
-    are_counts = np.array_equal(values, np.rint(values))
-    counts = values if are_counts else drops_of_densities(values, edges, area, MINUTE_S)
+    counts = values if "." not in first else drops_of_densities(values, edges, area, MINUTE_S)
     spectra = DropSpectra(
         instrument=name,
         times=np.array([record.time for record in records]),

@@ -106,7 +106,7 @@ class TableColumns(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         known = (*_WITH_SPEED, *_WITHOUT_SPEED)
         if self.diameter_edges_mm is None and self.instrument not in known:
             raise ValueError(
-                f"`instrument` {printable(self.instrument)} is none of {', '.join(known)}: give `diameter_edges_mm` and "
+                f"`instrument` {printable(self.instrument)} is none of {', '.join(known)}: give `diameter_edges_mm`, "
                 "`area_m2`, and `velocity_edges_m_s` if it measures fall speed"
             )
         if self.diameter_edges_mm is not None and self.area_m2 is None:

@@ -92,7 +92,9 @@ def test_missing_counts_skip_their_record(tmp_path: Path):
 def test_files_without_spectra_or_of_unknown_instruments(tmp_path: Path):
     path = tmp_path / "file.nc"
     xr.Dataset({"rain": ("time", [1.0, 2.0])}).to_netcdf(path, engine="h5netcdf")
-    assert refusal(path) == "no variable has the dimensions time, diameter and fall speed (it has rain, ...)"
+    assert refusal(path).startswith(
+        "no variable has the dimensions time, diameter and fall speed (it has rain, ...); known are OTT Parsivel ("
+    )
     spectra_dataset().isel(diameter=slice(20)).to_netcdf(path, engine="h5netcdf")
     assert refusal(path).startswith("data_raw has 20 diameters and 32 fall speeds: of no instrument")
     dataset = spectra_dataset()
