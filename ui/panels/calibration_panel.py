@@ -92,7 +92,7 @@ def _fit(session: Session) -> None:
 
 
 def _measured(lab: RainLab) -> None:
-    """What the chosen files hold, what is rejected of them and why, and how well their rates agree."""
+    """Draw, for each chosen file, its drops and rain, rejected records with reasons, and how well its rates agree."""
     if lab.measured:
         imgui.separator_text("Measured")
     for each in lab.measured:

@@ -40,7 +40,7 @@ _OTHERS = {
 
 
 def is_disdrodb(dataset: xr.Dataset) -> bool:
-    """Whether a dataset is one of DISDRODB's products with its bins."""
+    """Recognize DISDRODB's products by their attributes and bins."""
     return (
         {_PRODUCT, _SENSOR} <= set(dataset.attrs)
         and {f"{_DIAMETER}_lower", f"{_DIAMETER}_upper"} <= set(dataset.variables)
@@ -162,7 +162,7 @@ def _edges(
 def _places(
     path: Path, axis: str, edges: Float64[np.ndarray, " edges"], known: Float64[np.ndarray, " known"], close: float
 ) -> Int64[np.ndarray, " classes"]:
-    """Which of a maker's classes those of the file are."""
+    """Indices of the file's classes among the maker's."""
     first = int(np.argmin(np.abs(known - edges[0])))
     run = known[first : first + len(edges)]
     if len(run) != len(edges) or not np.allclose(run[:-1], edges[:-1], atol=close, rtol=0):

@@ -37,8 +37,8 @@ def read_instrument_spectra(path: Path, dataset: xr.Dataset) -> Reading:
     """Read the variable with time, diameter and fall speed as its dimensions, in whichever order.
 
     The instrument is told by its classes, Parsivel's or Thies's: with them comes its measuring area. Raises
-    `DisdrometerFileError` where there is no such variable, where its classes are of no instrument that is known, where
-    the rate it gives agrees with the reported one in neither order, or where no record can be used.
+    `DisdrometerFileError` where there is no such variable, where its classes are of no instrument that is known, or
+    where no record can be used.
     """
     axes = _axes(path, dataset)
     spectrum = dataset[axes.variable].transpose(axes.time, axes.diameter, axes.velocity)

@@ -25,7 +25,7 @@ _ROW = re.compile(r"^\s*(19|20)\d\d\s+\d{1,3}\s+\d{1,2}\s+\d{1,2}\s")
 
 
 def is_minute_table(lines: list[str]) -> bool:
-    """Whether the first full row is a minute with the 32 diameters of an APU or the 50 of a 2DVD."""
+    """Recognize a minute with the 32 diameters of an APU or the 50 of a 2DVD in the first full row."""
     first = next((line for line in lines if line.strip()), "")
     return _ROW.match(first) is not None and len(first.split()) - _STAMP in (_APU, _COUNTS)
 

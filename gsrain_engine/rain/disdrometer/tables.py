@@ -78,14 +78,14 @@ class TableColumns(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     seconds: Annotated[float, Meta(ge=1, le=LONGEST_RECORD_S)] | None = None
     """Length of each record; without it and its column, the step from record to record."""
     seconds_column: Column | None = None
-    """Where each row states its length in s."""
+    """Column of each row's length in s."""
     rate: Column | None = None
     """The instrument's own rain rate, by which the drops are checked."""
     rate_unit: Literal["mm/h", "mm/min", "mm/s", "m/s"] = "mm/h"
     quantity: Literal["drops", "drops_m3_mm"] = "drops"
     """Drops counted, or number density in 1/(m^3 mm)."""
     order: Literal["diameters first", "velocities first"] | None = None
-    """Which index is the slower one, where both are measured; without one, the maker's."""
+    """The slower index, where both are measured; without one, the maker's."""
     separator: Annotated[str, Meta(min_length=1, max_length=1)] | None = None
     """Between columns; a space stands for any white space; without one, the header's most frequent of , ; and tab."""
     drops_separator: Annotated[str, Meta(min_length=1, max_length=1)] | None = None
@@ -250,7 +250,7 @@ def _is_rate(name: str) -> bool:
 
 
 def _drops_of(names: Sequence[str]) -> tuple[str, Column | ColumnRange] | None:
-    """Which instrument has as many columns of one stem side by side, and where they begin and end."""
+    """The instrument with as many classes as columns of one stem stand side by side, and those columns."""
     stems, start = [_stem(name) for name in names], 0
     for i in range(1, len(names) + 1):
         if i < len(names) and stems[i] is not None and stems[i] == stems[start]:
@@ -278,7 +278,7 @@ def _stem(name: str) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Where things stand in a row, from 0 on."""
+    """Places in a row, from 0 on."""
 
     separator: str
     time: tuple[int, ...]

@@ -61,7 +61,7 @@ def read_two_dvd(path: Path, dataset: xr.Dataset) -> Reading:
 
 
 def is_two_dvd_minutes(dataset: xr.Dataset) -> bool:
-    """Whether the dataset has ARM's names for drops by diameter and minute (vdis)."""
+    """Recognize ARM's names for drops by diameter and minute (vdis)."""
     return {_NUMBER, _CLASS} <= set(dataset.variables) and dataset[_NUMBER].dims[1:] == (_CLASS,)
 
 

@@ -21,6 +21,9 @@ LOWEST_CHECKED_MM_H = 0.5
 FEWEST_CHECKED = 30
 """Records above `LOWEST_CHECKED_MM_H`; of fewer, a ratio says little."""
 
+FEWEST_FAR_OFF, FAR_OFF = 5, 3.0
+"""So few records are enough where the ratio is beyond 3 or 1/3."""
+
 LOWEST_RATIO, HIGHEST_RATIO, LOWEST_CORRELATION = 0.7, 1.4, 0.9
 """Real Parsivels' drops give 0.98 to 1.14 times their own rate, with r of 0.99; snow and insects 2 to 80 times."""
 
@@ -41,7 +44,8 @@ class RateCheck:
     @property
     def problem(self) -> str | None:
         """Why such drops are no base for a calibration, in one sentence; None where rates agree, or are too few."""
-        if self.records < FEWEST_CHECKED:
+        far_off = self.records >= FEWEST_FAR_OFF and not 1 / FAR_OFF <= self.ratio <= FAR_OFF
+        if self.records < FEWEST_CHECKED and not far_off:
             return None
         low = self.correlation is not None and self.correlation < LOWEST_CORRELATION
         if LOWEST_RATIO <= self.ratio <= HIGHEST_RATIO and not low:
@@ -53,11 +57,19 @@ class RateCheck:
         )
 
     @property
+    def agrees(self) -> bool | None:
+        """None where the records are too few to say."""
+        if self.problem is not None:
+            return False
+        return None if self.records < FEWEST_CHECKED else True
+
+    @property
     def line(self) -> str:
         """The figures, and what they mean, as one line."""
         figures = f"rate from the drops over the instrument's own: {self.ratio:.3f}, {_correlation(self.correlation)}"
-        verdict = "agrees" if self.problem is None else "DISAGREES"
-        if self.records < FEWEST_CHECKED:
+        agrees = self.agrees
+        verdict = "agrees" if agrees else "DISAGREES"
+        if agrees is None:
             verdict = f"too few to judge, {FEWEST_CHECKED} are needed"
         return f"{figures} ({self.records:,} records above {LOWEST_CHECKED_MM_H:g} mm/h: {verdict})"
 
@@ -80,7 +92,7 @@ def check_rates(measured: Sequence[DropSpectra]) -> RateCheck | None:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Measured:
-    """What a disdrometer file holds, in numbers: small, unlike the spectra."""
+    """A disdrometer file in numbers: small, unlike its spectra."""
 
     file: str
     """Its name, without folders."""
@@ -172,7 +184,7 @@ class Measured:
             "rate_ratio": None if check is None else check.ratio,
             "rate_correlation": None if check is None else check.correlation,
             "rate_records": 0 if check is None else check.records,
-            "rates_agree": None if check is None or check.records < FEWEST_CHECKED else check.problem is None,
+            "rates_agree": None if check is None else check.agrees,
             "quality": asdict(self.quality),
         }
 

@@ -52,7 +52,7 @@ class RainLab:
         self.fitted: FittedCalibration | None = None
         """The last fit."""
         self.measured: tuple[Measured, ...] = ()
-        """What the files of the last fit hold, also where it failed."""
+        """Summaries of the files of the last fit, also where it failed."""
         self.disagreeing: tuple[Path, ...] = ()
         """Files whose drops don't give the instrument's own rate, and that were not fitted for that."""
         self.area_m2, self.seconds = 0.5, 60.0
@@ -122,7 +122,8 @@ class RainLab:
                 return _Fit(measured, None, str(error), ())
             return _Fit(measured, result, None, ())
 
-        self.measured, self.disagreeing = (), ()
+        if self._task is None:
+            self.measured, self.disagreeing = (), ()
         self._begin(f"Fitting {files[0].name}", fitted, self._take_fit)
 
     def _take_fit(self, fit: "_Fit") -> None:

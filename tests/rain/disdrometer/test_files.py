@@ -8,6 +8,7 @@ import pytest
 from gsrain_engine.rain.disdrometer import contents, records
 from gsrain_engine.rain.disdrometer.class_mask import read_class_mask
 from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, read_disdrometer
+from gsrain_engine.rain.fitting.measured_file import open_measured
 from parsivel_text import DRY, RAIN_MM_H, locarno_line, rain, station_line, velocity_major
 
 
@@ -172,9 +173,11 @@ def test_a_transposed_spectrum_is_noticed(tmp_path: Path, caplog: pytest.LogCapt
     assert caplog.text == ""
 
 
-def test_a_rate_that_agrees_in_neither_order_is_refused(tmp_path: Path):
-    reason = refusal(written(tmp_path, *(station_line(second, rain(), "0008.500") for second in range(5))))
-    assert reason.startswith("the spectra's rain rate is 0.0908 times the reported one, 8.65 times with")
+def test_a_rate_that_agrees_in_neither_order_is_read_and_disagrees(tmp_path: Path):
+    path = written(tmp_path, *(station_line(second, rain(), "0008.500") for second in range(5)))
+    measured = open_measured(path).measured()
+    assert measured.rate_check is not None and measured.rate_check.agrees is False
+    assert measured.rate_check.ratio == pytest.approx(0.0908, abs=1e-4)
 
 
 def test_bad_records_are_left_out_and_named(tmp_path: Path):
