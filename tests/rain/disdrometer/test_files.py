@@ -148,6 +148,16 @@ def test_apu_table_of_densities(tmp_path: Path):
     assert np.count_nonzero(spectra.counts) == 1
 
 
+def test_nasas_tables_are_counts_or_densities_by_their_decimals(tmp_path: Path):
+    apu = " 2013  115    1   26" + "   0" * 9 + " 100" + "   0" * 22
+    spectra = read_disdrometer(written(tmp_path, apu)).spectra
+    assert spectra.instrument == "APU (OTT Parsivel)" and spectra.counts[0, 9, 0] == 100 == spectra.counts.sum()
+    # 100 drops per m^3 and mm in 0.6..0.8 mm: 20 in each m^3, falling through 0.01 m^2 for a minute.
+    two_dvd = " 2013   98    6    2" + "   0.0000" * 3 + " 100.0000" + "   0.0000" * 46
+    spectra = read_disdrometer(written(tmp_path, two_dvd)).spectra
+    np.testing.assert_allclose(spectra.counts[0, 3, 0], 20 * (9.65 - 10.3 * np.exp(-0.6 * 0.7)) * 60 * 0.01)
+
+
 def test_rainsense_intensity(tmp_path: Path):
     spectra = read_disdrometer(written(tmp_path, "current intensity:9.245")).spectra
     np.testing.assert_array_equal(spectra.reported_mm_h, [9.245])
