@@ -136,11 +136,14 @@ class Measured:
         lines += [f"  {count:,} unreadable: {reason}" for reason, count in self.skipped[:_REASONS]]
         if len(self.skipped) > _REASONS:
             lines.append(f"  {sum(count for _, count in self.skipped[_REASONS:]):,} unreadable for other reasons")
-        for mask in quality.masks:
-            if mask.not_applied:
-                lines.append(f"  not checked for {mask.name}: {mask.not_applied}")
-            elif mask.drops >= 0.5:
-                lines.append(f"  {mask.drops:,.0f} drops removed as {mask.name}: {mask.rule}")
+        lines += [
+            f"  {mask.drops:,.0f} drops removed as {mask.name}: {mask.rule}"
+            for mask in quality.masks
+            if mask.drops >= 0.5
+        ]
+        for reason in dict.fromkeys(mask.not_applied for mask in quality.masks if mask.not_applied):
+            names = ", ".join(mask.name for mask in quality.masks if mask.not_applied == reason)
+            lines.append(f"  not checked for {names}: {reason}")
         lines.append(f"  {self._rate_line}")
         return lines
 

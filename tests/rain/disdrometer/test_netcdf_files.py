@@ -287,17 +287,20 @@ def test_damaged_disdrodb_products_are_refused(tmp_path: Path, change, reason: s
     assert refusal(path).startswith(reason)
 
 
-def test_minutes_of_arms_2dvd(tmp_path: Path):
-    path = tmp_path / "vdis.cdf"
+def two_dvd_minutes() -> xr.Dataset:
     counts = np.zeros((3, 50))
     counts[0, 5] = 40
-    minutes = xr.Dataset(
+    return xr.Dataset(
         {
             "num_drops": (("time", "drop_diameter"), counts),
             "rain_rate": ("time", [0.167, 0, np.nan], {"units": "mm/hr"}),
         },
         coords={"time": TIMES, "drop_diameter": ("drop_diameter", 0.1 + 0.2 * np.arange(50), {"units": "mm"})},
     )
+
+
+def test_minutes_of_arms_2dvd(tmp_path: Path):
+    path, minutes = tmp_path / "vdis.cdf", two_dvd_minutes()
     minutes.to_netcdf(path, engine="scipy")
     spectra = read_disdrometer(path).spectra
     assert spectra.instrument == "2DVD" and spectra.velocity_edges_m_s is None

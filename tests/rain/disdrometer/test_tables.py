@@ -6,9 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from conftest import REPOSITORY
+from extension_package import titled_blocks
 from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, UnknownKindError, read_disdrometer
 from gsrain_engine.rain.disdrometer.joss_waldvogel import RD80_EDGES_MM
-from gsrain_engine.rain.disdrometer.tables import load_columns
+from gsrain_engine.rain.disdrometer.tables import TableColumns, load_columns
+from gsrain_engine.rain.fitting.measured_file import open_measured
 from parsivel_text import DRY, RAIN_MM_H, rain, velocity_major
 
 FIELDS_32 = [f"{i:02d}" for i in range(32)]
@@ -280,3 +283,17 @@ def test_columns_do_not_describe_what_is_no_text(tmp_path: Path):
     path.write_bytes(gzip.compress(bytes(range(256))))
     with pytest.raises(DisdrometerFileError, match="not a text: columns describe a table of text"):
         read_disdrometer(path, columns)
+
+
+def test_the_documented_example_prints_what_the_page_says(tmp_path: Path):
+    blocks = titled_blocks(REPOSITORY / "docs" / "guide" / "calibration.md")
+    for name in ("counter.csv", "counter.yaml"):
+        (tmp_path / name).write_text(blocks[name], encoding="utf-8")
+    measured = open_measured(tmp_path / "counter.csv", load_columns(tmp_path / "counter.yaml")).measured()
+    assert "\n".join(measured.lines) == blocks["printed"].rstrip()
+
+
+def test_every_field_of_a_description_is_documented():
+    text = (REPOSITORY / "docs" / "formats.md").read_text(encoding="utf-8")
+    section = text.partition("## Tables of disdrometers\n")[2].partition("\n## ")[0]
+    assert [field for field in TableColumns.__struct_fields__ if f"`{field}`" not in section] == []
