@@ -8,6 +8,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from gsrain_engine.untrusted.printable import printable
+
 from ..calibration import Provenance, SourceFile
 from ..disdrometer.reading import SingleDrops
 from ..disdrometer.tables import TableColumns
@@ -46,19 +48,22 @@ def calibrate_files(
     options = options or FitOptions()
     instruments = list(dict.fromkeys(each.trusted.instrument for each in files))
     if len(instruments) > 1:
-        raise ValueError(f"files of {' and '.join(instruments)}: calibrate each instrument by itself")
+        raise ValueError(f"files of {printable(' and '.join(instruments))}: calibrate each instrument by itself")
     disagreement = rates_problem(files)
     if disagreement is not None and not force:
         raise RatesDisagreeError(f"{disagreement}: is it rain, and are these its classes?")
-    names = ", ".join(each.path.name for each in files)
-    fitted = fit_calibration(
-        [each.trusted for each in files],
-        name=name,
-        source=f"fitted by GSRAIN to {names} ({instruments[0]})" + (f"; {disagreement}" if disagreement else ""),
-        measured=[each.reading.spectra for each in files],
-        drops=_all_drops(files),
-        options=options,
-    )
+    names = ", ".join(printable(each.path.name) for each in files)
+    try:
+        fitted = fit_calibration(
+            [each.trusted for each in files],
+            name=name,
+            source=f"fitted by GSRAIN to {names} ({instruments[0]})" + (f"; {disagreement}" if disagreement else ""),
+            measured=[each.reading.spectra for each in files],
+            drops=_all_drops(files),
+            options=options,
+        )
+    except ValueError as error:
+        raise ValueError(f"{names if len(files) == 1 else f'{len(files)} files together'}: {error}") from None
     calibration = msgspec.structs.replace(fitted.calibration, provenance=_provenance(files, fitted, options))
     return replace(fitted, calibration=calibration)
 
@@ -68,7 +73,7 @@ def rates_problem(files: Sequence[MeasuredFile]) -> str | None:
     for each in files:
         check = check_rates([each.reading.spectra])
         if check is not None and check.problem is not None:
-            return f"{each.path.name}: {check.problem}"
+            return f"{printable(each.path.name)}: {check.problem}"
     together = check_rates([each.reading.spectra for each in files])
     problem = None if together is None else together.problem
     return None if problem is None else f"{len(files)} files together: {problem}"

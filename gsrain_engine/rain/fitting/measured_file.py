@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from gsrain_engine.untrusted.printable import printable
+
 from ..counted_drops import INSTRUMENT as VIRTUAL_INSTRUMENT
 from ..disdrometer.files import Reading, read_disdrometer
 from ..disdrometer.quality import QualityReport, keep_trusted
@@ -29,6 +31,8 @@ LOWEST_RATIO, HIGHEST_RATIO, LOWEST_CORRELATION = 0.7, 1.4, 0.9
 
 _REASONS = 5
 """Shown of each file, the most frequent first."""
+
+_LONGEST_NAME = 80
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -128,12 +132,12 @@ class Measured:
         )
         quality = self.quality
         lines = [
-            f"{self.file}: {self.instrument}, {self.records:,} records of {self.seconds:g} s{span}",
+            f"{printable(self.file)}: {printable(self.instrument, _LONGEST_NAME)}, {self.records:,} records of {self.seconds:g} s{span}",
             f"  {self.drops:,.0f} drops, {self.rain_mm:.4g} mm of rain; {own}",
             f"  used: {quality.records_kept:,} records with {quality.drops_kept:,.0f} drops; rejected: "
             + (", ".join(f"{count:,} {what}" for what, count in self._rejected if count) or "nothing"),
         ]
-        lines += [f"  {count:,} unreadable: {reason}" for reason, count in self.skipped[:_REASONS]]
+        lines += [f"  {count:,} unreadable: {printable(reason)}" for reason, count in self.skipped[:_REASONS]]
         if len(self.skipped) > _REASONS:
             lines.append(f"  {sum(count for _, count in self.skipped[_REASONS:]):,} unreadable for other reasons")
         lines += [

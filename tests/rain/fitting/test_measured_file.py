@@ -79,6 +79,17 @@ def test_a_summary_adds_up(tmp_path: Path):
     assert numbers["records_used"] == 2 and numbers["quality"]["records_kept"] == 2
 
 
+def test_names_out_of_files_do_not_steer_a_terminal(tmp_path: Path, shower):
+    odd = replace(shower, instrument="a\x1b[31m\u202e[/x]" + 200 * "b")
+    path = written(tmp_path, "s\x1b[2Jnow.nc", odd, factor=0.4)
+    measured = open_measured(path).measured()
+    assert all(line.isprintable() for line in measured.lines) and len(measured.lines[0]) < 300
+    assert measured.lines[0].startswith(r"s\x1b[2Jnow.nc: a\x1b[31m\u202e[/x]b")
+    with pytest.raises(RatesDisagreeError) as caught:
+        calibrate([path], name="test", options=OPTIONS)
+    assert str(caught.value).isprintable()
+
+
 def test_of_simulated_drops_nothing_is_rejected(tmp_path: Path, shower):
     dry = replace(shower, counts=np.zeros_like(shower.counts), instrument="GSRAIN virtual disdrometer")
     write_spectra(tmp_path / "dry.nc", dry)
