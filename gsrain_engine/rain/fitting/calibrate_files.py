@@ -51,7 +51,7 @@ def calibrate_files(
         raise ValueError(f"files of {printable(' and '.join(instruments))}: calibrate each instrument by itself")
     disagreement = rates_problem(files)
     if disagreement is not None and not force:
-        raise RatesDisagreeError(f"{disagreement}: is it rain, and are these its classes?")
+        raise RatesDisagreeError(f"{disagreement}. Is it rain, and are these its classes?")
     names = ", ".join(printable(each.path.name) for each in files)
     try:
         fitted = fit_calibration(
@@ -73,7 +73,9 @@ def rates_problem(files: Sequence[MeasuredFile]) -> str | None:
     for each in files:
         check = check_rates([each.reading.spectra])
         if check is not None and check.problem is not None:
-            return f"{printable(each.path.name)}: {check.problem}"
+            used = check_rates([each.trusted])
+            left = f"; of the drops that would be used: {used.figures}" if used is not None else ""
+            return f"{printable(each.path.name)}: {check.problem}{left}"
     together = check_rates([each.reading.spectra for each in files])
     problem = None if together is None else together.problem
     return None if problem is None else f"{len(files)} files together: {problem}"

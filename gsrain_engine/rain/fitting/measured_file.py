@@ -61,6 +61,11 @@ class RateCheck:
         )
 
     @property
+    def figures(self) -> str:
+        """Ratio and r."""
+        return f"{self.ratio:.3f}, {_correlation(self.correlation)}"
+
+    @property
     def agrees(self) -> bool | None:
         """None where the records are too few to say."""
         if self.problem is not None:
@@ -70,12 +75,12 @@ class RateCheck:
     @property
     def line(self) -> str:
         """The figures, and what they mean, as one line."""
-        figures = f"rate from the drops over the instrument's own: {self.ratio:.3f}, {_correlation(self.correlation)}"
         agrees = self.agrees
         verdict = "agrees" if agrees else "DISAGREES"
         if agrees is None:
             verdict = f"too few to judge, {FEWEST_CHECKED} are needed"
-        return f"{figures} ({self.records:,} records above {LOWEST_CHECKED_MM_H:g} mm/h: {verdict})"
+        records = f"{self.records:,} records above {LOWEST_CHECKED_MM_H:g} mm/h"
+        return f"rate from the drops over the instrument's own: {self.figures} ({records}: {verdict})"
 
 
 def check_rates(measured: Sequence[DropSpectra]) -> RateCheck | None:
@@ -120,6 +125,9 @@ class Measured:
     """That hold drops, but fewer than 10 that can be trusted."""
     quality: QualityReport
     rate_check: RateCheck | None
+    """Of all drops: it decides whether the rates agree."""
+    used_rate_check: RateCheck | None
+    """Of the drops that can be trusted: one phantom drop of 18 mm, removed by the masks, spoils the former's r."""
 
     @property
     def lines(self) -> list[str]:
@@ -130,9 +138,9 @@ class Measured:
             if self.reported_rain_mm is None
             else f"{self.reported_rain_mm:.4g} mm by its own rate"
         )
-        quality = self.quality
+        quality, instrument = self.quality, printable(self.instrument, _LONGEST_NAME)
         lines = [
-            f"{printable(self.file)}: {printable(self.instrument, _LONGEST_NAME)}, {self.records:,} records of {self.seconds:g} s{span}",
+            f"{printable(self.file)}: {instrument}, {self.records:,} records of {self.seconds:g} s{span}",
             f"  {self.drops:,.0f} drops, {self.rain_mm:.4g} mm of rain; {own}",
             f"  used: {quality.records_kept:,} records with {quality.drops_kept:,.0f} drops; rejected: "
             + (", ".join(f"{count:,} {what}" for what, count in self._rejected if count) or "nothing"),
@@ -149,6 +157,8 @@ class Measured:
             names = ", ".join(mask.name for mask in quality.masks if mask.not_applied == reason)
             lines.append(f"  not checked for {names}: {reason}")
         lines.append(f"  {self._rate_line}")
+        if self.used_rate_check is not None:
+            lines.append(f"  by the drops that are used: {self.used_rate_check.figures}")
         return lines
 
     @property
@@ -170,7 +180,7 @@ class Measured:
 
     def numbers(self) -> dict[str, Any]:
         """All of it for `--json`, with units in the names."""
-        check = self.rate_check
+        check, used = self.rate_check, self.used_rate_check
         return {
             "file": self.file,
             "instrument": self.instrument,
@@ -191,6 +201,8 @@ class Measured:
             "rate_ratio": None if check is None else check.ratio,
             "rate_correlation": None if check is None else check.correlation,
             "rate_records": 0 if check is None else check.records,
+            "rate_ratio_used": None if used is None else used.ratio,
+            "rate_correlation_used": None if used is None else used.correlation,
             "rates_agree": None if check is None else check.agrees,
             "quality": asdict(self.quality),
         }
@@ -230,6 +242,7 @@ class MeasuredFile:
             records_with_few_drops=rejected - dry,
             quality=self.quality,
             rate_check=check_rates([spectra]),
+            used_rate_check=check_rates([self.trusted]),
         )
 
 

@@ -153,6 +153,19 @@ def test_drops_that_do_not_give_the_instruments_rate_are_refused(tmp_path: Path,
     assert "its drops" not in calibrate([good], force=True, **options).calibration.source
 
 
+def test_a_phantom_drop_spoils_r_and_the_drops_that_are_used_show_it(tmp_path: Path, shower):
+    counts = shower.counts.copy()
+    counts[5, 29, 5] += 1  # 19 mm at 0.55 m/s
+    path = written(tmp_path, "phantom.nc", replace(shower, counts=counts))
+    measured = open_measured(path).measured()
+    assert measured.rate_check.correlation < 0.5 and measured.rate_check.agrees is False
+    assert measured.used_rate_check.correlation > 0.97 and measured.used_rate_check.ratio == pytest.approx(1, abs=0.05)
+    assert f"by the drops that are used: {measured.used_rate_check.figures}" in measured.lines[-1]
+    assert measured.numbers()["rate_ratio_used"] == measured.used_rate_check.ratio
+    with pytest.raises(RatesDisagreeError, match=r"of the drops that would be used: [01]\.\d+, r = 0\.9"):
+        calibrate([path], name="test", options=OPTIONS)
+
+
 def test_files_that_only_together_have_enough_records_are_judged_together(tmp_path: Path, shower):
     halves = [written(tmp_path, f"{i}.nc", part, factor=0.5) for i, part in enumerate((shower[:20], shower[20:]))]
     with pytest.raises(RatesDisagreeError, match="2 files together: its drops give"):
