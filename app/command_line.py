@@ -31,7 +31,7 @@ app.default(view)
 # Named, not imported: each loads what it needs when it runs, so that the window stands at once.
 COMMANDS = {
     "render": "Render a scene in its rain: a still, a video, frames, or raw floats.",
-    "info": "Print what is in a scene or a capture; --check looks for broken pictures and wrong poses.",
+    "info": "Print what is in a scene, a capture or a disdrometer's file; --check looks for wrong pictures and poses.",
     "convert": "Convert between scene formats.",
     "street": "Write the built-in street: scene, tracks, camera rig, images with depth, normals and labels.",
     "calibrate": "Fit a rain calibration to disdrometer files: drop numbers, sizes and speeds by intensity.",

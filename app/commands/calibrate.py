@@ -1,6 +1,5 @@
 """`gsrain calibrate FILES... -o CAL.yaml`: a rain calibration from disdrometer spectra."""
 
-from collections import Counter
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,14 +8,16 @@ import msgspec
 from cyclopts import Parameter
 
 from gsrain_engine.rain.calibration import save_calibration
-from gsrain_engine.rain.fitting.calibrate_files import MeasuredFile, calibrate_files, open_measured
+from gsrain_engine.rain.fitting.calibrate_files import RatesDisagreeError, calibrate_files
 from gsrain_engine.rain.fitting.fit_options import FitOptions
+from gsrain_engine.rain.fitting.measured_file import Measured, MeasuredFile, open_measured
 from gsrain_engine.rain.fitting.plot import check_plot_name, write_plot
 from gsrain_engine.rain.fitting.result import FittedCalibration, FittedRow
 
 from ..console import Console, Table, print
 from .arguments import JsonFile, write_numbers
 from .converted_options import converted_options
+from .disdrometer_info import Columns, columns_of
 from .progress import progress_bar
 
 _DEFAULTS = FitOptions()
@@ -43,27 +44,48 @@ def calibrate(
         int, Parameter(help="Bootstrap draws behind the 95 % intervals; 0: none.")
     ] = _DEFAULTS.resamples,
     seed: Annotated[int, Parameter(help="Of the bootstrap.")] = _DEFAULTS.seed,
+    columns: Columns = None,
+    force: Annotated[
+        bool,
+        Parameter(
+            negative="",
+            help="Fit even where the drops' rain rate is not 0.7 to 1.4 times the instrument's own, or r is below 0.9.",
+        ),
+    ] = False,
     json: JsonFile = None,
 ) -> None:
-    """Fit drop number, sizes and fall speed to measured spectra, by intensity, with 95 % intervals."""
+    """Fit drop number, sizes and fall speed to measured spectra, by intensity, with 95 % intervals.
+
+    Prints of each file its instrument, records, drops and rain, what is rejected and why, and how well the rate from
+    the drops agrees with the instrument's own. Where they disagree over 30 rainy records or more (a ratio outside 0.7
+    to 1.4, or r below 0.9: snow, insects, other classes), nothing is fitted without --force. `gsrain info FILE` prints
+    the same.
+    """
     options = _options(intensities, half_width=half_width, smallest_mm=smallest_mm, resamples=resamples, seed=seed)
     if output.suffix not in (".yaml", ".yml"):
         raise ValueError(f"{output}: expected a name that ends with .yaml")
     if plot is not None:
         check_plot_name(plot)
+    described = columns_of(columns)
     measured: list[MeasuredFile] = []
     with progress_bar("Reading", len(files)) as advance:
         for path in files:
-            measured.append(open_measured(path))
+            measured.append(open_measured(path, described))
             advance()
-    fitted = calibrate_files(measured, name=name or output.stem, options=options)
+    found = [each.measured() for each in measured]
+    for each in found:
+        print("\n".join(each.lines))
+    try:
+        fitted = calibrate_files(measured, name=name or output.stem, options=options, force=force)
+    except RatesDisagreeError as error:
+        raise ValueError(f"{error} --force fits all the same") from None
     output.parent.mkdir(parents=True, exist_ok=True)
     save_calibration(fitted.calibration, output)
     if plot is not None:
         plot.parent.mkdir(parents=True, exist_ok=True)
         write_plot(fitted, plot)
-    _print(fitted, measured)
-    write_numbers(json, _numbers(fitted, measured))
+    _print(fitted, len(measured))
+    write_numbers(json, _numbers(fitted, measured, found))
     for path in (output, plot, json):
         if path is not None:
             print(path)
@@ -80,11 +102,14 @@ def _options(intensities: str | None, **others: float) -> FitOptions:
     return converted_options(values, FitOptions, {"intensities_mm_h": "intensities"})
 
 
-def _numbers(fitted: FittedCalibration, measured: list[MeasuredFile]) -> dict[str, Any]:
+def _numbers(fitted: FittedCalibration, measured: list[MeasuredFile], found: list[Measured]) -> dict[str, Any]:
     check, ratios = fitted.rate_check, fitted.axis_ratios
     velocity = fitted.calibration.velocity
     skipped = [f"{each.path.name}: {reason}" for each in measured for reason in each.reading.skipped]
     return {
+        "instrument": found[0].instrument,
+        "drops": sum(each.drops for each in found),
+        "rain_mm": sum(each.rain_mm for each in found),
         "records": fitted.records,
         "records_used": fitted.records_used,
         "records_skipped": skipped,
@@ -103,6 +128,7 @@ def _numbers(fitted: FittedCalibration, measured: list[MeasuredFile]) -> dict[st
         "axis_ratio": None
         if ratios is None
         else {"offset": ratios.offset, "slope_per_mm": ratios.slope_per_mm, "r2": ratios.r2, "drops": ratios.drops},
+        "files": [each.numbers() for each in found],
         "quality": [{"file": each.path.name} | _plain(each.quality) for each in measured],
     }
 
@@ -121,23 +147,10 @@ def _plain(report: Any) -> dict[str, Any]:
     return asdict(report) if is_dataclass(report) and not isinstance(report, type) else msgspec.to_builtins(report)
 
 
-def _print(fitted: FittedCalibration, measured: list[MeasuredFile]) -> None:
-    console = Console(width=_COLUMNS, highlight=False)
-    for each in measured:
-        spectra = each.reading.spectra
-        console.print(f"{each.path.name}: {spectra.instrument}, {len(spectra):,} records")
-        reasons = Counter(reason.partition(": ")[2] or reason for reason in each.reading.skipped)
-        for reason, count in reasons.most_common(5):
-            console.print(f"  {count:,} skipped: {reason}", markup=False)
-        kept, *masks = each.quality.lines
-        console.print(f"  {kept}", markup=False)
-        for line, mask in zip(masks, each.quality.masks, strict=True):
-            if mask.drops or mask.records or mask.not_applied:
-                console.print(f"  {line}", markup=False)
-    check = fitted.rate_check
-    if check is not None:
-        correlation = "" if check.correlation is None else f", r = {check.correlation:.4f}"
-        console.print(f"rate from drops over reported: {check.ratio:.3f}{correlation} ({check.records:,} records)")
+def _print(fitted: FittedCalibration, files: int) -> None:
+    console = Console(width=_COLUMNS, highlight=False, markup=False)
+    if files > 1 and fitted.rate_check is not None:
+        console.print(f"all {files} files: {fitted.rate_check.line}")
     a, b, c = fitted.calibration.velocity.coefficients
     r2 = fitted.calibration.velocity.r2
     quality = "assumed: the instrument measures no speed" if r2 is None else f"R² = {r2:.4f}"

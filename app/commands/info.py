@@ -1,4 +1,4 @@
-"""`gsrain info SCENE|CAPTURE`: what is in a scene or a capture."""
+"""`gsrain info SCENE|CAPTURE|FILE`: what is in a scene, a capture or a disdrometer's file."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,21 +15,28 @@ from gsrain_engine.scene.scene import Scene
 from ..console import Console, Table
 from .arguments import JsonFile, write_numbers
 from .capture_info import capture_info
+from .disdrometer_info import Columns, disdrometer_info
 from .marked import marked, marked_text
 from .sources import names_scene
 
 
 def info(
-    scene: Annotated[str, Parameter(help='Scene file or folder, or a capture; "street" is the built-in scene.')],
+    scene: Annotated[
+        str, Parameter(help='Scene file or folder, a capture, or a disdrometer file; "street" is the built-in scene.')
+    ],
     /,
     *,
     check: Annotated[bool, Parameter(negative="", help="Capture: read all pictures, and check the poses.")] = False,
     overlay: Annotated[
         Path | None, Parameter(help="Capture: draw points and boxes into some views, and write the picture here.")
     ] = None,
+    columns: Columns = None,
     json: JsonFile = None,
 ) -> None:
-    """Print what a scene holds (counts, bounds, harmonics, memory) or a capture (cameras, lidar, boxes, problems)."""
+    """Print what a scene holds (counts, bounds, harmonics, memory) or a capture (cameras, lidar, boxes, problems).
+
+    Of a disdrometer's file: instrument, records, drops, rain, what is rejected and why, and how well its rates agree.
+    """
     if not names_scene(scene) and capture_format(scene) is not None:
         write_numbers(json, capture_info(Path(scene), check, overlay))
         return
@@ -37,6 +44,9 @@ def info(
         raise ValueError(f"{scene}: --check and --overlay are for captures, and this is none that is known")
     if not names_scene(scene) and Path(scene).is_dir():
         raise ValueError(f"{scene}: neither a scene (scene.json, or meta.json of SOG) nor a capture that is known")
+    if columns is not None or (not names_scene(scene) and Path(scene).is_file()):
+        write_numbers(json, disdrometer_info(Path(scene), columns))
+        return
     opened = open_scene(scene)
     rows = [_member(each) for each in opened.members]
     numbers = {

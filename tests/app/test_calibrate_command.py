@@ -1,6 +1,7 @@
 """`gsrain calibrate` as a person runs it."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from PIL import Image
@@ -11,6 +12,7 @@ from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rain_state import rain_state
 from measured_rain import measured_rain
+from parsivel_text import rain, station_line, velocity_major
 
 KEYS = {"records", "records_used", "rate_ratio", "rate_correlation", "velocity", "rows", "quality", "records_skipped"}
 
@@ -89,3 +91,84 @@ def test_bad_files_end_with_one_line(tmp_path, capsys):
     assert run(["calibrate", str(tmp_path / "x.dat"), "-o", str(tmp_path / "cal.json")]) == BAD_INPUT
     assert "ends with .yaml" in capsys.readouterr().err
     assert not out.exists()
+
+
+@pytest.fixture(scope="module")
+def disagreeing(tmp_path_factory):
+    """A day of snow, as a Parsivel counts it: more than twice the rain that it reports."""
+    heavy = measured_rain(1190.0, 7.132, 0.114, minutes=20, seed=3)
+    light = measured_rain(271.0, 9.705, 0.074, minutes=10, seed=4, start="2024-05-01T10:20")
+    both = heavy.concatenate([heavy, light])
+    file = tmp_path_factory.mktemp("snow") / "snow.nc"
+    write_spectra(file, replace(both, reported_mm_h=both.reported_mm_h / 2.27))
+    return str(file)
+
+
+def test_rates_that_disagree_end_with_one_line_unless_forced(disagreeing, tmp_path, capsys):
+    out, numbers = tmp_path / "cal.yaml", tmp_path / "numbers.json"
+    assert calibrate([disagreeing], out) == BAD_INPUT
+    said = capsys.readouterr()
+    assert not out.exists()
+    assert "gsrain: snow.nc: its drops give 2.3" in said.err and "--force fits all the same" in said.err
+    assert said.err.count("gsrain:") == 1
+    assert "snow.nc: OTT Parsivel, 60 records of 30 s" in said.out and "DISAGREES" in said.out
+    assert calibrate([disagreeing], out, "--force", "--resamples", "0", "--json", str(numbers)) == 0
+    report = json.loads(numbers.read_text())
+    assert set(report) >= KEYS
+    assert report["instrument"] == "OTT Parsivel"
+    assert report["files"][0]["rates_agree"] is False
+    assert report["rate_ratio"] == report["files"][0]["rate_ratio"] == pytest.approx(2.27, rel=0.03)
+    assert report["rain_mm"] == pytest.approx(2.27 * report["files"][0]["reported_rain_mm"], rel=0.03)
+    assert "its drops give 2.3" in load_calibration(str(out)).source
+
+
+def test_the_summary_comes_also_where_there_is_too_little_rain(tmp_path, capsys):
+    log = tmp_path / "log.txt"
+    log.write_text("\n".join([station_line(0), station_line(20, rain(), "0000.772"), station_line(40, rate="x")]))
+    assert run(["calibrate", str(log), "-o", str(tmp_path / "cal.yaml")]) == BAD_INPUT
+    said = capsys.readouterr()
+    assert "too few drops to fit" in said.err
+    for words in (
+        "log.txt: OTT Parsivel, 2 records of 60 s",
+        "1 unreadable: rain rate 'x' is not a number",
+        "1 without a drop",
+    ):
+        assert words in said.out
+
+
+def test_info_prints_what_calibrate_prints(disagreeing, files, tmp_path, capsys):
+    numbers = tmp_path / "numbers.json"
+    assert run(["info", disagreeing, "--json", str(numbers)]) == 0
+    printed = capsys.readouterr().out
+    assert calibrate([disagreeing], tmp_path / "cal.yaml") == BAD_INPUT
+    assert capsys.readouterr().out == printed
+    report = json.loads(numbers.read_text())
+    assert report["records"] == 60 and report["rate_records"] >= 40 and report["rates_agree"] is False
+    assert set(report) >= {"instrument", "drops", "rain_mm", "rejected", "rate_ratio", "rate_correlation", "quality"}
+    assert run(["info", files[0]]) == 0
+    assert "agrees)" in capsys.readouterr().out
+
+
+def test_info_of_a_file_of_no_kind_lists_what_is_known(tmp_path, capsys):
+    file = tmp_path / "notes.txt"
+    file.write_text("not rain at all\n")
+    assert run(["info", str(file)]) == BAD_INPUT
+    error = capsys.readouterr().err
+    assert f"{file}: no scene and no capture; as measured rain: line 1: not a disdrometer file" in error
+    assert "DISDRODB" in error and error.count("gsrain:") == 1
+
+
+def test_any_table_by_its_columns(tmp_path, capsys):
+    table, columns = tmp_path / "table.csv", tmp_path / "columns.yaml"
+    rows = [f"2024-02-19 00:{minute:02d}:00|0.772|{','.join(velocity_major(rain()))}" for minute in range(3)]
+    table.write_text("\n".join(["when|how much|which", *rows]))
+    columns.write_text("{instrument: OTT Parsivel, separator: '|', time: when, rate: how much, drops: which}")
+    assert run(["info", str(table)]) == BAD_INPUT
+    assert run(["info", str(table), "--columns", str(columns)]) == 0
+    assert "table.csv: OTT Parsivel, 3 records of 60 s" in capsys.readouterr().out
+    assert run(["calibrate", str(table), "--columns", str(columns), "-o", str(tmp_path / "cal.yaml")]) == BAD_INPUT
+    said = capsys.readouterr()
+    assert "table.csv: OTT Parsivel, 3 records" in said.out and "a calibration needs two intensities" in said.err
+    columns.write_text("{instrument: OTT Parsivel, tyme: when}")
+    assert run(["info", str(table), "--columns", str(columns)]) == BAD_INPUT
+    assert f"{columns}: Object contains unknown field `tyme`; did you mean `time`?" in capsys.readouterr().err

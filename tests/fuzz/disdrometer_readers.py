@@ -7,17 +7,27 @@ from pathlib import Path
 import numpy as np
 
 from gsrain_engine.rain.disdrometer.class_mask import read_class_mask
+from gsrain_engine.rain.disdrometer.files import read_disdrometer
 from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
 from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError, Reading
-from gsrain_engine.rain.fitting.calibrate_files import open_measured
+from gsrain_engine.rain.disdrometer.tables import TableColumns, load_columns
+from gsrain_engine.rain.fitting.measured_file import open_measured
 from gsrain_engine.rain.measured_weather import from_spectra
 from parsivel_text import DRY, locarno_line, rain, station_line, velocity_major
 from tests.rain.disdrometer.test_files import telegram, thies_line
-from tests.rain.disdrometer.test_netcdf_files import drops_dataset, spectra_dataset
+from tests.rain.disdrometer.test_netcdf_files import (
+    disdrodb_dataset,
+    drops_dataset,
+    spectra_dataset,
+    two_dvd_minutes,
+)
+from tests.rain.disdrometer.test_tables import RD80, ROWS, pyatmoslogger, rd80_row, scamp
+from tests.rain.disdrometer.test_tables import campbell as table_of_campbell
 
 from .containers import Damage, inside_gzip
 from .mutations import damaged_bytes, damaged_text
 from .reader import Reader
+from .yaml_mutations import damaged_yaml
 
 
 def _read(path: Path) -> None:
@@ -65,6 +75,67 @@ def _campbell() -> list[str]:
     return ['"TOA5","CR1000"', header, '"TS","RN"', '"","Smp"', *rows]
 
 
+def _described(folder: Path) -> Path:
+    counts = ",".join(velocity_major(rain()))
+    (folder / "table.txt").write_text(
+        "\n".join(["when|rate|which", *(f"2024-02-19 00:0{i}:00|0.772|{counts}" for i in (1, 2))])
+    )
+    return folder / "table.txt"
+
+
+def _described_by(folder: Path) -> Path:
+    (folder / "counter.yaml").write_text(COUNTER)
+    return folder / "counter.yaml"
+
+
+def _read_described(path: Path) -> None:
+    columns = TableColumns(instrument="OTT Parsivel", separator="|", time="when", rate="rate", drops="which")
+    _check(open_measured(path, columns).reading)
+
+
+def _read_by_description(path: Path) -> None:
+    """Read a description, then the table that the sound one describes."""
+    columns = load_columns(path)
+    table = path.with_suffix(".csv")
+    table.write_text("\n".join(["a counter", "Day;Clock;Rain;a;b;c", "13/05/2024;14.02;0,05;10;20;1"]))
+    try:
+        _check(read_disdrometer(table, columns))
+    except DisdrometerFileError as error:
+        assert table.name in str(error)
+    finally:
+        table.unlink()
+
+
+COUNTER = """
+instrument: Drop counter
+time: [Day, Clock]
+time_format: "%d/%m/%Y %H.%M"
+time_is: start
+utc_offset_h: 2
+seconds: 60
+rate: Rain
+rate_unit: mm/min
+drops: {first: a, last: c}
+quantity: drops
+diameter_edges_mm: [0.5, 1, 2, 3]
+area_m2: 0.01
+separator: ";"
+decimal: ","
+header_line: 2
+comments: ["#"]
+"""
+
+
+def _disdrodb(folder: Path) -> Path:
+    disdrodb_dataset().to_netcdf(folder / "file.nc", engine="h5netcdf")
+    return folder / "file.nc"
+
+
+def _two_dvd_minutes(folder: Path) -> Path:
+    two_dvd_minutes().to_netcdf(folder / "file.nc", engine="scipy", unlimited_dims="time")
+    return folder / "file.nc"
+
+
 def _minutes(values: int) -> list[str]:
     return [f"2014  121    1   {minute}   0  16  26" + "   0" * (values - 3) for minute in (20, 21, 22)]
 
@@ -107,6 +178,13 @@ DISDROMETER_READERS = (
     _row("locarno", _lines(*(locarno_line(f"26-10-2018 18:{k}:01", rain(), "0001.5") for k in (43, 44, 45)))),
     _row("tagged", _lines(*_tagged())),
     _row("campbell", _lines(*_campbell())),
+    _row("pyatmoslogger", _lines(*pyatmoslogger(ROWS))),
+    _row("scamp", _lines(*scamp(ROWS))),
+    _row("campbell-one-column", _lines(*table_of_campbell(ROWS))),
+    _row("rd80", _lines(RD80, *(rd80_row(minute, 40, "1,5") for minute in (14, 15, 16)))),
+    Reader("disdrometer-described", _described, _read_described, DisdrometerFileError, (("*.txt", damaged_text),)),
+    Reader("disdrometer-columns", _described_by, _read_by_description, ValueError, (("*.yaml", damaged_yaml),)),
+    _row("netcdf-minutes", _two_dvd_minutes, damaged_bytes, "*.nc"),
     _row("telegrams", _lines(*telegram("00:00:00", DRY, "0000.000"), *telegram("00:01:00", rain(), "0000.772"))),
     _row("thies", _lines("a header", thies_line(0, rate="001.072"), thies_line(30))),
     _row("two-dvd-table", _lines(*_minutes(50))),
@@ -118,7 +196,7 @@ DISDROMETER_READERS = (
         Reader(
             f"disdrometer-{name}", write, _read, DisdrometerFileError, (("*.nc", damaged_bytes),), tries=4, longest_s=60
         )
-        for name, write in (("netcdf-hdf5", _netcdf("h5netcdf")), ("netcdf-own", _own))
+        for name, write in (("netcdf-hdf5", _netcdf("h5netcdf")), ("netcdf-own", _own), ("netcdf-disdrodb", _disdrodb))
     ),  # each file in a process of its own first
     Reader("class-mask", _mask, read_class_mask, DisdrometerFileError, (("*", damaged_text),)),
 )

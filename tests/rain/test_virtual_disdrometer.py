@@ -11,8 +11,9 @@ import xarray as xr
 from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, read_disdrometer
 from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
 from gsrain_engine.rain.drop_field import drops_at
-from gsrain_engine.rain.fitting.calibrate_files import calibrate_files, open_measured
+from gsrain_engine.rain.fitting.calibrate_files import calibrate_files
 from gsrain_engine.rain.fitting.fit_options import FitOptions
+from gsrain_engine.rain.fitting.measured_file import open_measured
 from gsrain_engine.rain.rain import Box, Rain
 from gsrain_engine.rain.rainfall import Rainfall, View
 from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer

@@ -8,8 +8,10 @@ import pytest
 from imgui_bundle import im_file_dialog
 from PIL import Image
 
+from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
 from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.session.session import Session
+from measured_rain import measured_rain
 from small_scene import small_scene
 from ui.shortcuts import chord
 from window_driver import Driver, imgui
@@ -340,3 +342,26 @@ def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
     driver.run(script)
     shown, closed = screens
     assert np.abs(shown - closed).mean() > 5
+
+
+def test_files_whose_rates_disagree_are_summed_up_and_calibrated_anyway(driver, tmp_path):
+    lab = driver.session.lab
+    heavy = measured_rain(1190.0, 7.132, 0.114, minutes=20, seed=3)
+    light = measured_rain(271.0, 9.705, 0.074, minutes=20, seed=4, start="2024-05-01T10:20")
+    both = heavy.concatenate([heavy, light])
+    write_spectra(tmp_path / "snow.nc", replace(both, reported_mm_h=both.reported_mm_h / 2.27))
+
+    def script():
+        driver.ctx.window_focus("//Calibration")
+        driver.ctx.set_ref("//Calibration")
+        lab.fit([tmp_path / "snow.nc"])
+        driver.until(lambda: lab.busy is None, 100_000)
+        driver.frames()
+        assert lab.fitted is None and "its drops give 2.3 times" in lab.problem
+        driver.ctx.item_click("Calibrate anyway")
+        driver.until(lambda: lab.busy is None, 100_000)
+        driver.frames()
+        assert lab.fitted is not None and lab.problem is None
+        assert not driver.ctx.item_exists("Calibrate anyway")
+
+    driver.run(script)

@@ -8,6 +8,7 @@ from imgui_bundle import imgui
 from gsrain_engine.rain.calibration import Calibration
 from gsrain_engine.rain.calibration_curves import CalibrationCurves, calibration_curves, spectrum_at
 from gsrain_engine.session.rain.calibrations import compare_calibration, use_calibration, use_fitted_calibration
+from gsrain_engine.session.rain.rain_lab import RainLab
 from gsrain_engine.session.session import Session
 
 from ..widgets.fields import plain_label
@@ -57,7 +58,10 @@ def _choose(session: Session) -> None:
     if imgui.button("Fit to measurements..."):
         ask_what_to_open("Disdrometer files of one instrument", _MEASUREMENTS, lab.fit, several=True)
     imgui.end_disabled()
-    imgui.set_item_tooltip("Fit a calibration to disdrometer files.")
+    imgui.set_item_tooltip(
+        "Fit a calibration to disdrometer files. With a table of an unknown kind choose a YAML file, too, that says "
+        "which column is what."
+    )
 
 
 def _fit(session: Session) -> None:
@@ -68,18 +72,37 @@ def _fit(session: Session) -> None:
         imgui.push_style_color(imgui.Col_.text, WARNING)
         imgui.text_wrapped(lab.problem)
         imgui.pop_style_color()
+    if lab.disagreeing and lab.busy is None:
+        if imgui.button("Calibrate anyway"):
+            lab.fit(lab.disagreeing, force=True)
+        imgui.set_item_tooltip(
+            "Fit to drops that don't give the instrument's own rain rate: snow, insects, other classes."
+        )
+    _measured(lab)
     if fitted is None:
         return
     imgui.separator_text(visible_name(f"Fitted: {fitted.calibration.name}"))
     imgui.text_wrapped(f"{fitted.records_used:,} of {fitted.records:,} records in {len(fitted.rows)} rows")
-    if fitted.rate_check is not None:
-        check = fitted.rate_check
-        imgui.text_wrapped(f"rate from drops over reported: {check.ratio:.3f}, r = {check.correlation:.4f}")
+    if fitted.rate_check is not None and len(lab.measured) > 1:
+        imgui.text_wrapped(f"all files: {fitted.rate_check.line}")
     r2 = fitted.calibration.velocity.r2
     imgui.text_wrapped("fall speed assumed: none was measured" if r2 is None else f"fall speed: R2 = {r2:.4f}")
     if imgui.button("Keep and use"):
         use_fitted_calibration(session, lab)
     imgui.set_item_tooltip("Save it among your calibrations, and let the rain follow it.")
+
+
+def _measured(lab: RainLab) -> None:
+    """Draw, for each chosen file, its drops and rain, rejected records with reasons, and how well its rates agree."""
+    if lab.measured:
+        imgui.separator_text("Measured")
+    for each in lab.measured:
+        first, *others = each.lines
+        imgui.text_wrapped(first)
+        imgui.indent()
+        for each_line in others:
+            imgui.text_wrapped(each_line.strip())
+        imgui.unindent()
 
 
 def _plots(session: Session, shown: dict[str, Calibration]) -> None:

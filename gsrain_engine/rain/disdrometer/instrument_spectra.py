@@ -17,7 +17,7 @@ from gsrain_engine.rain.disdrometer.netcdf_records import (
     reported_rates,
     usable_records,
 )
-from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError, Reading
+from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError, Reading, UnknownKindError
 from gsrain_engine.rain.disdrometer.records import MOST_COUNTS, no_record_left
 
 _SPEED_WORDS = ("vel", "speed")
@@ -37,8 +37,8 @@ def read_instrument_spectra(path: Path, dataset: xr.Dataset) -> Reading:
     """Read the variable with time, diameter and fall speed as its dimensions, in whichever order.
 
     The instrument is told by its classes, Parsivel's or Thies's: with them comes its measuring area. Raises
-    `DisdrometerFileError` where there is no such variable, where its classes are of no instrument that is known, where
-    the rate it gives agrees with the reported one in neither order, or where no record can be used.
+    `DisdrometerFileError` where there is no such variable, where its classes are of no instrument that is known, or
+    where no record can be used.
     """
     axes = _axes(path, dataset)
     spectrum = dataset[axes.variable].transpose(axes.time, axes.diameter, axes.velocity)
@@ -66,9 +66,7 @@ def _axes(path: Path, dataset: xr.Dataset) -> _Axes:
         if kinds.keys() == {"time", "diameter", "velocity"}:
             return _Axes(str(name), kinds["time"], kinds["diameter"], kinds["velocity"])
     names = ", ".join(str(name) for name in list(dataset.data_vars)[:8]) or "none"
-    raise DisdrometerFileError(
-        path, f"no variable has the dimensions time, diameter and fall speed (it has {names}, ...)"
-    )
+    raise UnknownKindError(path, f"no variable has the dimensions time, diameter and fall speed (it has {names}, ...)")
 
 
 def _kind(dataset: xr.Dataset, dimension: str) -> str:
@@ -76,6 +74,8 @@ def _kind(dataset: xr.Dataset, dimension: str) -> str:
     name = dimension.lower()
     if "time" in name:
         return "time"
+    if "method" in name:  # several estimates side by side
+        return "unknown"
     if any(word in name for word in _SPEED_WORDS):
         return "velocity"
     if any(word in name for word in _SIZE_WORDS):
@@ -101,7 +101,7 @@ def _instrument(path: Path, dataset: xr.Dataset, axes: _Axes) -> Instrument:
                     path, f"{dimension} has as many classes as the {instrument.name}'s, with other bounds than it has"
                 )
         return instrument
-    raise DisdrometerFileError(
+    raise UnknownKindError(
         path,
         f"{axes.variable} has {sizes[0]} diameters and {sizes[1]} fall speeds: of no instrument whose area is known",
     )

@@ -9,7 +9,7 @@ from jaxtyping import Float64, Shaped
 
 from gsrain_engine.rain.disdrometer import parsivel_classes, thies_classes
 from gsrain_engine.rain.disdrometer.class_order import Order, arrange
-from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError, Reading
+from gsrain_engine.rain.disdrometer.reading import Reading
 from gsrain_engine.rain.disdrometer.records import Record
 from gsrain_engine.rain.disdrometer.spectra import DropSpectra
 
@@ -31,10 +31,7 @@ class Instrument:
         return len(self.diameter_edges_mm) - 1, len(self.velocity_edges_m_s) - 1
 
     def reading_of(self, path: Path, records: list[Record], written: Order, skipped: list[str]) -> Reading:
-        """Spectra of records whose counts run in the maker's order, unless the rain rate says otherwise.
-
-        Raises `DisdrometerFileError` where the spectra and the reported rates agree in neither order.
-        """
+        """Spectra of records whose counts run in the maker's order, unless the rain rate says otherwise."""
         return self.reading(
             path,
             np.stack([record.counts for record in records]),
@@ -56,18 +53,15 @@ class Instrument:
         skipped: list[str],
     ) -> Reading:
         """The same from arrays."""
-        try:
-            arranged, order = arrange(
-                counts,
-                written,
-                diameter_edges_mm=self.diameter_edges_mm,
-                velocity_edges_m_s=self.velocity_edges_m_s,
-                area_m2=self.area_m2,
-                seconds=seconds,
-                reported_mm_h=reported_mm_h,
-            )
-        except ValueError as error:
-            raise DisdrometerFileError(path, str(error)) from None
+        arranged, order = arrange(
+            counts,
+            written,
+            diameter_edges_mm=self.diameter_edges_mm,
+            velocity_edges_m_s=self.velocity_edges_m_s,
+            area_m2=self.area_m2,
+            seconds=seconds,
+            reported_mm_h=reported_mm_h,
+        )
         if order != written:
             logger.warning("%s: its spectra run with %s, not as usual with %s", path, order, written)
         spectra = DropSpectra(

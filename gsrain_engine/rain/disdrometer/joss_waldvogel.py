@@ -1,4 +1,4 @@
-"""Joss-Waldvogel impact disdrometer (JWD, RD-80) in ARM's NetCDF: 20 diameters, no measured fall speed."""
+"""Joss-Waldvogel impact disdrometer (JWD, RD-80): its 20 diameters, without fall speeds; and ARM's NetCDF of it."""
 
 from pathlib import Path
 
@@ -10,8 +10,14 @@ from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError, Reading
 from gsrain_engine.rain.disdrometer.records import no_record_left
 from gsrain_engine.rain.disdrometer.spectra import DropSpectra
 
+NAME = "Joss-Waldvogel"
 AREA_M2 = 0.005
 """The cone's 50 cm^2 (Joss and Waldvogel 1967)."""
+RD80_EDGES_MM = np.array(
+    [0.313, 0.405, 0.505, 0.596, 0.715, 0.827, 0.999, 1.232, 1.429, 1.582, 1.748]
+    + [2.077, 2.441, 2.727, 3.011, 3.385, 3.704, 4.127, 4.573, 5.145, 5.6]
+)
+"""Bounds of an RD-80's classes (Distromet's instructions); the last one is open, and ends here."""
 
 _LARGEST_MM = 20
 
@@ -37,7 +43,7 @@ def read_joss_waldvogel(path: Path, dataset: xr.Dataset) -> Reading:
     if not usable.any():
         raise DisdrometerFileError(path, no_record_left(skipped))
     spectra = DropSpectra(
-        instrument="Joss-Waldvogel",
+        instrument=NAME,
         times=times,
         seconds=record_seconds(dataset, time, times),
         diameter_edges_mm=edges,

@@ -6,6 +6,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float64
 
 from gsrain_engine.rain.calibration import atlas_velocity
 from gsrain_engine.rain.disdrometer import parsivel_classes
@@ -19,22 +20,21 @@ TWO_DVD_AREA_M2 = 0.01
 """Nominal: 10 x 10 cm (Kruger and Krajewski 2002)."""
 
 _STAMP = 4
-_DENSITIES, _COUNTS = 32, 50
+_APU, _COUNTS = 32, 50
 _ROW = re.compile(r"^\s*(19|20)\d\d\s+\d{1,3}\s+\d{1,2}\s+\d{1,2}\s")
 
 
 def is_minute_table(lines: list[str]) -> bool:
-    """Whether the first full row is a minute with 32 densities (APU) or 50 counts (2DVD)."""
+    """Recognize a minute with the 32 diameters of an APU or the 50 of a 2DVD in the first full row."""
     first = next((line for line in lines if line.strip()), "")
-    return _ROW.match(first) is not None and len(first.split()) - _STAMP in (_DENSITIES, _COUNTS)
+    return _ROW.match(first) is not None and len(first.split()) - _STAMP in (_APU, _COUNTS)
 
 
 def read_minute_table(path: Path, lines: list[str]) -> Reading:
     """Read either table; raises `DisdrometerFileError` where no row can be used.
 
-    The APU's table has no counts but number densities in 1/(m^3 mm) by the 32 diameters of a Parsivel: they become the
-    counts that a Parsivel would have made of them in a minute, with the fall speed of Atlas et al. (1973); not whole
-    numbers.
+    Both come as drops counted (`dropcounts`, whole numbers) and as number densities in 1/(m^3 mm) (`rainDSD`, with
+    decimals), of which one file has one: densities become the counts that the instrument would have made of them.
     """
     first = next(line for line in lines if line.strip())
     classes = len(first.split()) - _STAMP
@@ -42,11 +42,9 @@ def read_minute_table(path: Path, lines: list[str]) -> Reading:
     values = np.stack([record.counts for record in records])
     if classes == _COUNTS:
         name, edges, area = "2DVD", TWO_DVD_EDGES_MM, np.full(_COUNTS, TWO_DVD_AREA_M2)
-        counts = values
     else:
         name, edges, area = "APU (OTT Parsivel)", parsivel_classes.DIAMETER_EDGES_MM, parsivel_classes.AREA_M2
-        swept_m3 = atlas_velocity(0.5 * (edges[:-1] + edges[1:])) * MINUTE_S * area
-        counts = values * np.diff(edges) * swept_m3
+    counts = values if "." not in first else drops_of_densities(values, edges, area, MINUTE_S)
     spectra = DropSpectra(
         instrument=name,
         times=np.array([record.time for record in records]),
@@ -80,3 +78,14 @@ def _record(row: str, classes: int) -> Record:
         reported_mm_h=float("nan"),
         counts=drop_counts(values[_STAMP:], classes),
     )
+
+
+def drops_of_densities(
+    density_m3_mm: Float64[np.ndarray, "records diameters"],
+    edges_mm: Float64[np.ndarray, " diameters_and_one"],
+    area_m2: float | Float64[np.ndarray, " diameters"],
+    seconds: float | Float64[np.ndarray, " records"],
+) -> Float64[np.ndarray, "records diameters"]:
+    """Drops that would have been counted, not whole numbers: N(D) dD, at the fall speed of Atlas et al. (1973)."""
+    swept_m3_s = atlas_velocity(0.5 * (edges_mm[:-1] + edges_mm[1:])) * area_m2
+    return density_m3_mm * np.diff(edges_mm) * swept_m3_s * np.reshape(seconds, (-1, 1))

@@ -7,13 +7,14 @@ from pathlib import Path
 import h5py
 import xarray as xr
 
+from gsrain_engine.rain.disdrometer.disdrodb import is_disdrodb, read_disdrodb
 from gsrain_engine.rain.disdrometer.hdf5_trial import LARGEST_DATASET, passes_trial
 from gsrain_engine.rain.disdrometer.instrument_spectra import read_instrument_spectra
 from gsrain_engine.rain.disdrometer.joss_waldvogel import is_joss_waldvogel, read_joss_waldvogel
 from gsrain_engine.rain.disdrometer.netcdf_classic import with_whole_records
 from gsrain_engine.rain.disdrometer.netcdf_spectra import is_gsrain_spectra, read_gsrain_spectra
 from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError, Reading
-from gsrain_engine.rain.disdrometer.two_dvd import is_two_dvd, read_two_dvd
+from gsrain_engine.rain.disdrometer.two_dvd import is_two_dvd, is_two_dvd_minutes, read_two_dvd, read_two_dvd_minutes
 
 _CLASSIC = (b"CDF\x01", b"CDF\x02")
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -49,6 +50,10 @@ def _read(path: Path, dataset: xr.Dataset) -> Reading:
         return read_gsrain_spectra(path, dataset)
     if is_two_dvd(dataset):
         return read_two_dvd(path, dataset)
+    if is_two_dvd_minutes(dataset):
+        return read_two_dvd_minutes(path, dataset)
+    if is_disdrodb(dataset):
+        return read_disdrodb(path, dataset)
     if is_joss_waldvogel(dataset):
         return read_joss_waldvogel(path, dataset)
     return read_instrument_spectra(path, dataset)

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from gsrain_engine.rain.disdrometer.instruments import PARSIVEL
 from gsrain_engine.rain.disdrometer.parsivel_classes import CLASSES
 from gsrain_engine.rain.disdrometer.reading import Reading
-from gsrain_engine.rain.disdrometer.records import Record, RecordError, drop_counts, gather, number, rain_rate, utc
+from gsrain_engine.rain.disdrometer.records import Record, RecordError, drop_counts, gather, interval_s, rain_rate, utc
 
 _COUNTS = CLASSES * CLASSES
 _LOOK_AHEAD = 20
@@ -26,26 +26,24 @@ class Dialect:
     """Found in a line that only this kind of log has."""
     parse: Callable[[str], Record]
     """Raises `RecordError` where the line can't be used."""
-    header: re.Pattern[str] | None = None
-    """Lines that are no records."""
 
 
 def parsivel_log_dialect(lines: list[str]) -> Dialect | None:
     """The dialect of a log by its first lines; none where it is not one."""
     start = [line for line in lines[: 2 * _LOOK_AHEAD] if line.strip()][:_LOOK_AHEAD]
     found = (dialect for dialect in _DIALECTS if any(dialect.marks.search(line) for line in start))
-    return next(found, None) or _campbell(start)
+    return next(found, None)
 
 
 def read_parsivel_log(path: Path, lines: list[str], dialect: Dialect) -> Reading:
     """Read a log of this dialect; raises `DisdrometerFileError` where no record can be used."""
-    records, skipped = gather(path, _records(lines, dialect), dialect.parse)
+    records, skipped = gather(path, _records(lines), dialect.parse)
     return PARSIVEL.reading_of(path, records, "velocities first", skipped)
 
 
-def _records(lines: list[str], dialect: Dialect) -> Iterator[tuple[str, str]]:
+def _records(lines: list[str]) -> Iterator[tuple[str, str]]:
     for i, line in enumerate(lines):
-        if line.strip() and not (dialect.header and dialect.header.search(line)):
+        if line.strip():
             yield f"line {i + 1}", line
 
 
@@ -90,38 +88,6 @@ def _station(line: str) -> Record:
         reported_mm_h=rain_rate(values[1]),
         counts=parsivel_counts(counts, "/" if slashed else ";"),
     )
-
-
-def interval_s(text: str) -> float:
-    """Length of a record in s; raises `RecordError` where it is not 1 s to an hour."""
-    seconds = number(text, "sample interval")
-    if not 1 <= seconds <= 3600:
-        raise RecordError(f"sample interval is {text} s, not 1 to 3600")
-    return seconds
-
-
-def _campbell(lines: list[str]) -> Dialect | None:
-    """TIMESTAMP, RECORD, then columns as the logger's second line names them; none where they aren't a Parsivel's."""
-    header = next((line for line in lines if line.startswith('"TIMESTAMP"')), "")
-    columns = [name.strip('" ').lower() for name in header.split(",")]
-    rate = next((i for i, name in enumerate(columns) if "intensity" in name and "snow" not in name), None)
-    if rate is None or "spectrum(1)" not in columns:
-        return None
-    first = columns.index("spectrum(1)")
-
-    def record(line: str) -> Record:
-        values = _fields(line, first)
-        return Record(
-            time=utc(values[0], "%Y-%m-%d %H:%M:%S", "%Y-%m-%d %H:%M:%S.%f"),
-            seconds=float("nan"),
-            reported_mm_h=rain_rate(values[rate]),
-            counts=drop_counts(values[first : first + _COUNTS], _COUNTS),
-        )
-
-    return Dialect(_CAMPBELL_HEADER, record, header=_CAMPBELL_HEADER)
-
-
-_CAMPBELL_HEADER = re.compile(r'^"(TOA5|TIMESTAMP|TS|)",')
 
 
 _DIALECTS = (

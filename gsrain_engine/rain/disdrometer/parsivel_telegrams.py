@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from gsrain_engine.rain.disdrometer.instruments import PARSIVEL
-from gsrain_engine.rain.disdrometer.parsivel_logs import interval_s, parsivel_counts
+from gsrain_engine.rain.disdrometer.parsivel_logs import parsivel_counts
 from gsrain_engine.rain.disdrometer.reading import Reading
-from gsrain_engine.rain.disdrometer.records import Record, RecordError, gather, rain_rate, utc
+from gsrain_engine.rain.disdrometer.records import Record, RecordError, gather, interval_s, rain_rate, utc
 
 _FIELD = re.compile(r"^(\d\d):(.*)")
 _FIRST = "01"

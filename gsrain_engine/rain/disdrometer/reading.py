@@ -17,6 +17,25 @@ class DisdrometerFileError(ValueError):
         super().__init__(f"{path}: {printable(reason)}")
 
 
+KNOWN_KINDS = (
+    "OTT Parsivel (telegrams, ASDO's text, station logs, Campbell TOA5, CSV of pyAtmosLogger and SCAMP, NetCDF of "
+    "Cloudnet, ARM and DISDRODB), Thies LNM (telegrams, NetCDF), Joss-Waldvogel RD-80 (text, ARM's NetCDF), "
+    "2DVD (ARM's NetCDF, NASA's tables), APU (NASA's tables), RainSense, what gsrain disdrometer -o writes"
+)
+"""Files that are told apart by what they hold, for people."""
+
+
+class UnknownKindError(DisdrometerFileError):
+    """A file of no kind that is known."""
+
+    def __init__(self, path: Path, what: str):
+        ValueError.__init__(
+            self,
+            f"{path}: {printable(what)}; known are {KNOWN_KINDS}; of any other table of text say which column is what, "
+            "by --columns FILE.yaml",
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SingleDrops:
     """Drops seen one by one, in order of time."""

@@ -20,7 +20,11 @@ FACTORY_SECONDS = 60.0
 MOST_DROPS = 1e9
 """In one class of one record: more is damage, not rain."""
 
-_LONGEST_STEP_S = 3600.0
+LONGEST_RECORD_S = 3600.0
+"""Also the longest step from record to record that shows their length."""
+
+_NO_RATES = (-9.999, -99.9, -99.99, -999.0, -9999.0)
+"""Loggers' numbers for none."""
 
 
 class RecordError(ValueError):
@@ -82,7 +86,7 @@ def no_record_left(skipped: Sequence[str]) -> str:
 def usual_step_s(times: Sequence[np.datetime64]) -> float:
     """Usual time from one record to the next in s; `FACTORY_SECONDS` where none shows."""
     steps = [float((later - earlier) / np.timedelta64(1, "s")) for earlier, later in pairwise(times)]
-    near = [step for step in steps if 0 < step <= _LONGEST_STEP_S]
+    near = [step for step in steps if 0 < step <= LONGEST_RECORD_S]
     return float(np.median(near)) if near else FACTORY_SECONDS
 
 
@@ -110,12 +114,22 @@ def drop_counts(values: Sequence[str], expected: int) -> Float64[np.ndarray, " c
 
 def rain_rate(text: str) -> float:
     """Rate in mm/h; NaN where a logger wrote NAN or nothing. Raises `RecordError` where it is no rate."""
-    if text.strip().upper() in ("", "NAN", "NA", "-9.999", "-999", "-9999"):
+    if text.strip(' "').upper() in ("", "NAN", "NA"):
         return float("nan")
     rate = number(text, "rain rate")
+    if rate in _NO_RATES:
+        return float("nan")
     if not 0 <= rate < float("inf"):
         raise RecordError(f"rain rate is {text.strip()}")
     return rate
+
+
+def interval_s(text: str) -> float:
+    """Length of a record in s; raises `RecordError` where it is not 1 s to an hour."""
+    seconds = number(text, "sample interval")
+    if not 1 <= seconds <= LONGEST_RECORD_S:
+        raise RecordError(f"sample interval is {text.strip()[:40]} s, not 1 to {LONGEST_RECORD_S:g}")
+    return seconds
 
 
 def number(text: str, what: str) -> float:

@@ -1,4 +1,4 @@
-"""Two-dimensional video disdrometer (2DVD) in ARM's NetCDF: single drops with size, fall speed and shape."""
+"""Two-dimensional video disdrometer (2DVD) in ARM's NetCDF: single drops (size, speed, shape), or minutes."""
 
 from pathlib import Path
 
@@ -6,7 +6,13 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float64, Shaped
 
-from gsrain_engine.rain.disdrometer.netcdf_records import record_times
+from gsrain_engine.rain.disdrometer.netcdf_records import (
+    in_mm,
+    record_seconds,
+    record_times,
+    reported_rates,
+    usable_records,
+)
 from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError, Reading, SingleDrops
 from gsrain_engine.rain.disdrometer.records import no_record_left
 from gsrain_engine.rain.disdrometer.spectra import DropSpectra
@@ -17,6 +23,7 @@ NOMINAL_AREA_M2 = 0.01
 RECORD_S = 60.0
 
 _DIAMETER, _SPEED, _RATIO, _AREA = "equivolumetric_sphere_diameter", "fall_speed", "oblateness", "area"
+_NUMBER, _CLASS = "num_drops", "drop_diameter"
 _LONGEST_DAYS = 31
 _LARGEST_AREA_M2 = 0.1
 _SMALLEST_AREA_M2 = 0.001
@@ -51,6 +58,36 @@ def read_two_dvd(path: Path, dataset: xr.Dataset) -> Reading:
             path, f"its drops fell from {drops.times[0]} to {drops.times[-1]}: at most {_LONGEST_DAYS} days"
         )
     return Reading(spectra=drops_by_minute(drops, 1e-6 * areas[order]), drops=drops, skipped=tuple(skipped))
+
+
+def is_two_dvd_minutes(dataset: xr.Dataset) -> bool:
+    """Recognize ARM's names for drops by diameter and minute (vdis)."""
+    return {_NUMBER, _CLASS} <= set(dataset.variables) and dataset[_NUMBER].dims[1:] == (_CLASS,)
+
+
+def read_two_dvd_minutes(path: Path, dataset: xr.Dataset) -> Reading:
+    """Read drops by diameter; the rain rate in the file is the instrument's own. Raises `DisdrometerFileError`."""
+    time, middles = str(dataset[_NUMBER].dims[0]), in_mm(dataset[_CLASS])
+    known = 0.5 * (DIAMETER_EDGES_MM[:-1] + DIAMETER_EDGES_MM[1:])
+    if middles is None or middles.shape != known.shape or not np.allclose(middles, known, atol=0.01):
+        raise DisdrometerFileError(path, f"{_CLASS}: a 2DVD has {len(known)} classes of 0.2 mm, from 0 to 10 mm")
+    counts = dataset[_NUMBER].to_numpy().astype(np.float64)
+    times = record_times(dataset, time)
+    usable, skipped = usable_records(counts, times)
+    if not usable.any():
+        raise DisdrometerFileError(path, no_record_left(skipped))
+    picked = np.flatnonzero(usable)[np.argsort(times[usable], kind="stable")]
+    spectra = DropSpectra(
+        instrument="2DVD",
+        times=times[picked],
+        seconds=record_seconds(dataset, time, times)[picked],
+        diameter_edges_mm=DIAMETER_EDGES_MM,
+        velocity_edges_m_s=None,
+        counts=counts[picked, :, None],
+        area_m2=np.full(len(known), NOMINAL_AREA_M2),
+        reported_mm_h=reported_rates(dataset, time)[picked],
+    )
+    return Reading(spectra=spectra, skipped=tuple(skipped))
 
 
 def drops_by_minute(drops: SingleDrops, areas_m2: Float64[np.ndarray, " drops"]) -> DropSpectra:

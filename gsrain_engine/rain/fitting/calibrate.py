@@ -13,14 +13,12 @@ from ..rain_state import flux_mm_h
 from .axis_ratio import fit_axis_ratio
 from .bootstrap import FEWEST_MINUTES, interval, resampling_weights, rounded
 from .fit_options import FitOptions
+from .measured_file import check_rates
 from .minutes import Minutes, sum_minutes
-from .result import ClassSpeeds, FittedCalibration, FittedRow, RateCheck
+from .result import ClassSpeeds, FittedCalibration, FittedRow
 from .rows import ENOUGH_DROPS, NO_RAIN, BinFit, fit_rows, fitted_classes
 from .rows import FEWEST_DROPS as FEWEST_DROPS_A_ROW
 from .velocity_fit import assumed_velocity, fit_velocity, fitted_speeds, speed_weights
-
-LOWEST_CHECKED_MM_H = 0.5
-"""Rates below are too coarse to compare: a Parsivel's telegram rounds them."""
 
 
 def fit_calibration(
@@ -66,7 +64,7 @@ def fit_calibration(
         speeds=speeds,
         velocity_confidence=None if speeds is None else _velocity_confidence(minutes, middles, options),
         axis_ratios=None if drops is None else fit_axis_ratio(drops),
-        rate_check=_check_rates(measured),
+        rate_check=check_rates(measured),
         records=sum(len(each) for each in measured),
         records_used=int(minutes.records[np.any([each.picked for each in bins], axis=0)].sum()),
         minute_rate_mm_h=minutes.rate_mm_h,
@@ -117,21 +115,6 @@ def _velocity_confidence(
     means = np.where(drops > 0, speeds / np.maximum(drops, 1), whole)
     a, b, c = np.polyfit(diameters_mm[fitted], means.T, 2, w=speed_weights(counted[fitted]))
     return interval(a), interval(b), interval(c)
-
-
-def _check_rates(measured: Sequence[DropSpectra]) -> RateCheck | None:
-    rate = np.concatenate([each.rate_mm_h for each in measured])
-    reported = np.concatenate([each.reported_mm_h for each in measured])
-    checked = reported > LOWEST_CHECKED_MM_H  # NaN isn't
-    if np.count_nonzero(checked) < 2:
-        return None
-    rate, reported = rate[checked], reported[checked]
-    alike = np.ptp(rate) == 0 or np.ptp(reported) == 0
-    return RateCheck(
-        records=len(rate),
-        ratio=float(rate.sum() / reported.sum()),
-        correlation=None if alike else float(np.corrcoef(rate, reported)[0, 1]),
-    )
 
 
 def _rounded(velocity: VelocityFit) -> VelocityFit:

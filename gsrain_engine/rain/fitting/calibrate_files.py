@@ -2,69 +2,83 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
+from gsrain_engine.untrusted.printable import printable
+
 from ..calibration import Provenance, SourceFile
-from ..counted_drops import INSTRUMENT as VIRTUAL_INSTRUMENT
-from ..disdrometer.files import Reading, SingleDrops, read_disdrometer
-from ..disdrometer.quality import QualityReport, keep_trusted
-from ..disdrometer.spectra import DropSpectra
+from ..disdrometer.reading import SingleDrops
+from ..disdrometer.tables import TableColumns
 from .calibrate import fit_calibration
 from .fit_options import FitOptions
+from .measured_file import MeasuredFile, check_rates, open_measured
 from .result import FittedCalibration
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class MeasuredFile:
-    """A disdrometer file: as it is, and what can be trusted in it."""
-
-    path: Path
-    reading: Reading
-    trusted: DropSpectra
-    quality: QualityReport
+class RatesDisagreeError(ValueError):
+    """Drops that don't give the instrument's own rain rate: in one sentence, which file's and by how much."""
 
 
-def open_measured(path: Path) -> MeasuredFile:
-    """Read a file and mask what can't be trusted; of simulated drops, all can. Raises `DisdrometerFileError`."""
-    reading = read_disdrometer(path)
-    if reading.spectra.instrument == VIRTUAL_INSTRUMENT:
-        trusted, quality = keep_trusted(reading.spectra, smallest_mm=0, speed_tolerance=np.inf, fewest_drops=0)
-    else:
-        trusted, quality = keep_trusted(reading.spectra)
-    return MeasuredFile(path=path, reading=reading, trusted=trusted, quality=quality)
-
-
-def calibrate(paths: Sequence[Path | str], *, name: str, options: FitOptions | None = None) -> FittedCalibration:
+def calibrate(
+    paths: Sequence[Path | str],
+    *,
+    name: str,
+    options: FitOptions | None = None,
+    columns: TableColumns | None = None,
+    force: bool = False,
+) -> FittedCalibration:
     """Read files of one instrument and fit a calibration; raises as `open_measured` and `calibrate_files` do."""
-    return calibrate_files([open_measured(Path(path)) for path in paths], name=name, options=options)
+    files = [open_measured(Path(path), columns) for path in paths]
+    return calibrate_files(files, name=name, options=options, force=force)
 
 
 def calibrate_files(
-    files: Sequence[MeasuredFile], *, name: str, options: FitOptions | None = None
+    files: Sequence[MeasuredFile], *, name: str, options: FitOptions | None = None, force: bool = False
 ) -> FittedCalibration:
     """Fit to all files together, and note where the numbers come from.
 
-    Raises `ValueError` where the files are of different instruments, or where there isn't enough rain in them.
+    Raises `RatesDisagreeError` where the drops don't give the instrument's own rate, in a file or in all together
+    (`RateCheck.problem`), unless it is to be done by `force`; `ValueError` where the files are of different
+    instruments, or where there isn't enough rain in them.
     """
     options = options or FitOptions()
     instruments = list(dict.fromkeys(each.trusted.instrument for each in files))
     if len(instruments) > 1:
-        raise ValueError(f"files of {' and '.join(instruments)}: calibrate each instrument by itself")
-    names = ", ".join(each.path.name for each in files)
-    fitted = fit_calibration(
-        [each.trusted for each in files],
-        name=name,
-        source=f"fitted by GSRAIN to {names} ({instruments[0]})",
-        measured=[each.reading.spectra for each in files],
-        drops=_all_drops(files),
-        options=options,
-    )
+        raise ValueError(f"files of {printable(' and '.join(instruments))}: calibrate each instrument by itself")
+    disagreement = rates_problem(files)
+    if disagreement is not None and not force:
+        raise RatesDisagreeError(f"{disagreement}. Is it rain, and are these its classes?")
+    names = ", ".join(printable(each.path.name) for each in files)
+    try:
+        fitted = fit_calibration(
+            [each.trusted for each in files],
+            name=name,
+            source=f"fitted by GSRAIN to {names} ({instruments[0]})" + (f"; {disagreement}" if disagreement else ""),
+            measured=[each.reading.spectra for each in files],
+            drops=_all_drops(files),
+            options=options,
+        )
+    except ValueError as error:
+        raise ValueError(f"{names if len(files) == 1 else f'{len(files)} files together'}: {error}") from None
     calibration = msgspec.structs.replace(fitted.calibration, provenance=_provenance(files, fitted, options))
     return replace(fitted, calibration=calibration)
+
+
+def rates_problem(files: Sequence[MeasuredFile]) -> str | None:
+    """Name the first file whose drops don't give its own rate, and by how much; None where all do."""
+    for each in files:
+        check = check_rates([each.reading.spectra])
+        if check is not None and check.problem is not None:
+            used = check_rates([each.trusted])
+            left = f"; of the drops that would be used: {used.figures}" if used is not None else ""
+            return f"{printable(each.path.name)}: {check.problem}{left}"
+    together = check_rates([each.reading.spectra for each in files])
+    problem = None if together is None else together.problem
+    return None if problem is None else f"{len(files)} files together: {problem}"
 
 
 def _all_drops(files: Sequence[MeasuredFile]) -> SingleDrops | None:

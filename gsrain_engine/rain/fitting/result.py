@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float64
 
 from ..calibration import Calibration, CalibrationRow, Interval
 from .axis_ratio import AxisRatios
+from .measured_file import RateCheck
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -42,17 +43,6 @@ class ClassSpeeds:
     """Standard deviation of single drops."""
     fitted: Bool[np.ndarray, " diameters"]
     """Which classes the quadratic goes through."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class RateCheck:
-    """The rate from the drops against the instrument's own, over records that report more than 0.5 mm/h."""
-
-    records: int
-    ratio: float
-    """Sum over sum."""
-    correlation: float | None
-    """None where all records have the same rate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -44,8 +44,8 @@ def fitted_classes(minutes: Minutes, edges_mm: Float64[np.ndarray, " d_and_one"]
     last = np.flatnonzero(open_to_fit)
     if not first.size or last[-1] - first[0] < 2:
         raise ValueError(
-            f"too few drops to fit: expected three diameter classes within {max(smallest_mm, SMALLEST_MM):g}.."
-            f"{LARGEST_MM:g} mm, the first with {_LEAST_OF_A_CLASS} drops or more"
+            f"too few drops to fit: {minutes.drops.sum():,.0f} can be trusted; expected three diameter classes within "
+            f"{max(smallest_mm, SMALLEST_MM):g}..{LARGEST_MM:g} mm, the first with {_LEAST_OF_A_CLASS} drops or more"
         )
     return slice(int(first[0]), int(last[-1]) + 1)
 

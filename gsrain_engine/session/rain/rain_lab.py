@@ -18,6 +18,7 @@ from gsrain_engine.rain.rainfall import Rainfall
 if TYPE_CHECKING:
     from gsrain_engine.rain.counted_drops import CountedDrops
     from gsrain_engine.rain.disdrometer.reading import Reading
+    from gsrain_engine.rain.fitting.measured_file import Measured
     from gsrain_engine.rain.fitting.result import FittedCalibration
 
 logger = logging.getLogger("gsrain")
@@ -33,6 +34,15 @@ class _Task:
     take: Callable[[Any], None]
 
 
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    measured: "tuple[Measured, ...]"
+    fitted: "FittedCalibration | None"
+    problem: str | None
+    """Why there is no fit."""
+    disagreeing: tuple[Path, ...]
+
+
 class RainLab:
     """One measurement at a time. Call everything on the main thread, and `poll` once a frame."""
 
@@ -41,6 +51,10 @@ class RainLab:
         """What the virtual disdrometer counted last."""
         self.fitted: FittedCalibration | None = None
         """The last fit."""
+        self.measured: tuple[Measured, ...] = ()
+        """Summaries of the files of the last fit, also where it failed."""
+        self.disagreeing: tuple[Path, ...] = ()
+        """Files whose drops don't give the instrument's own rate, and that were not fitted for that."""
         self.area_m2, self.seconds = 0.5, 60.0
         """Of the next virtual measurement; seconds are simulated ones."""
         self.compared = "published"
@@ -82,15 +96,41 @@ class RainLab:
 
         self._begin(f"Counting drops for {seconds:g} s", count, lambda counted: setattr(self, "counted", counted))
 
-    def fit(self, files: Sequence[Path]) -> None:
-        """Fit a calibration to disdrometer files of one instrument."""
+    def fit(self, files: Sequence[Path], force: bool = False) -> None:
+        """Fit a calibration to disdrometer files of one instrument; by `force` even where rates disagree.
 
-        def fitted() -> "FittedCalibration":
-            from gsrain_engine.rain.fitting.calibrate_files import calibrate_files, open_measured
+        A YAML file among them says which column of their tables is what.
+        """
+        described = [path for path in files if path.suffix in (".yaml", ".yml")]
+        tables = tuple(path for path in files if path not in described)
 
-            return calibrate_files([open_measured(path) for path in files], name=files[0].name.partition(".")[0])
+        def fitted() -> "_Fit":
+            from gsrain_engine.rain.disdrometer.tables import load_columns
+            from gsrain_engine.rain.fitting.calibrate_files import RatesDisagreeError, calibrate_files
+            from gsrain_engine.rain.fitting.measured_file import open_measured
 
-        self._begin(f"Fitting {files[0].name}", fitted, lambda result: setattr(self, "fitted", result))
+            if not tables or len(described) > 1:
+                raise ValueError("choose disdrometer files, and at most one YAML file that describes their columns")
+            columns = load_columns(described[0]) if described else None
+            opened = [open_measured(path, columns) for path in tables]
+            measured = tuple(each.measured() for each in opened)
+            try:
+                result = calibrate_files(opened, name=tables[0].name.partition(".")[0], force=force)
+            except RatesDisagreeError as error:
+                return _Fit(measured, None, str(error), tuple(files))
+            except ValueError as error:
+                return _Fit(measured, None, str(error), ())
+            return _Fit(measured, result, None, ())
+
+        if self._task is None:
+            self.measured, self.disagreeing = (), ()
+        self._begin(f"Fitting {files[0].name}", fitted, self._take_fit)
+
+    def _take_fit(self, fit: "_Fit") -> None:
+        self.measured, self.disagreeing = fit.measured, fit.disagreeing
+        if fit.fitted is None:
+            raise ValueError(fit.problem)
+        self.fitted = fit.fitted
 
     def read_series(self, path: Path) -> None:
         """Read a disdrometer file whose rates are to become the weather."""

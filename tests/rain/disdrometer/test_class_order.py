@@ -37,8 +37,6 @@ def test_without_many_drops_the_expected_order_stands(written: Order):
 
 @pytest.mark.parametrize("factor", [0.25, 4.0, 30.0])
 def test_a_rate_that_fits_neither_order(factor: float):
-    with pytest.raises(ValueError, match="it should be about 1"):
-        arranged(rain(), "diameters first", factor * RAIN_MM_H, records=5)
-    # Four such records are no proof: the drops' speeds decide.
+    # It proves nothing: the drops' speeds decide.
     for counts, order in ((rain(), "diameters first"), (rain().T, "velocities first")):
-        assert arranged(counts, "diameters first", factor * RAIN_MM_H, records=4)[1] == order
+        assert arranged(counts, "diameters first", factor * RAIN_MM_H, records=5)[1] == order

@@ -8,6 +8,7 @@ import pytest
 from gsrain_engine.rain.disdrometer import contents, records
 from gsrain_engine.rain.disdrometer.class_mask import read_class_mask
 from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, read_disdrometer
+from gsrain_engine.rain.fitting.measured_file import open_measured
 from parsivel_text import DRY, RAIN_MM_H, locarno_line, rain, station_line, velocity_major
 
 
@@ -147,6 +148,16 @@ def test_apu_table_of_densities(tmp_path: Path):
     assert np.count_nonzero(spectra.counts) == 1
 
 
+def test_nasas_tables_are_counts_or_densities_by_their_decimals(tmp_path: Path):
+    apu = " 2013  115    1   26" + "   0" * 9 + " 100" + "   0" * 22
+    spectra = read_disdrometer(written(tmp_path, apu)).spectra
+    assert spectra.instrument == "APU (OTT Parsivel)" and spectra.counts[0, 9, 0] == 100 == spectra.counts.sum()
+    # 100 drops per m^3 and mm in 0.6..0.8 mm: 20 in each m^3, falling through 0.01 m^2 for a minute.
+    two_dvd = " 2013   98    6    2" + "   0.0000" * 3 + " 100.0000" + "   0.0000" * 46
+    spectra = read_disdrometer(written(tmp_path, two_dvd)).spectra
+    np.testing.assert_allclose(spectra.counts[0, 3, 0], 20 * (9.65 - 10.3 * np.exp(-0.6 * 0.7)) * 60 * 0.01)
+
+
 def test_rainsense_intensity(tmp_path: Path):
     spectra = read_disdrometer(written(tmp_path, "current intensity:9.245")).spectra
     np.testing.assert_array_equal(spectra.reported_mm_h, [9.245])
@@ -172,9 +183,11 @@ def test_a_transposed_spectrum_is_noticed(tmp_path: Path, caplog: pytest.LogCapt
     assert caplog.text == ""
 
 
-def test_a_rate_that_agrees_in_neither_order_is_refused(tmp_path: Path):
-    reason = refusal(written(tmp_path, *(station_line(second, rain(), "0008.500") for second in range(5))))
-    assert reason.startswith("the spectra's rain rate is 0.0908 times the reported one, 8.65 times with")
+def test_a_rate_that_agrees_in_neither_order_is_read_and_disagrees(tmp_path: Path):
+    path = written(tmp_path, *(station_line(second, rain(), "0008.500") for second in range(5)))
+    measured = open_measured(path).measured()
+    assert measured.rate_check is not None and measured.rate_check.agrees is False
+    assert measured.rate_check.ratio == pytest.approx(0.0908, abs=1e-4)
 
 
 def test_bad_records_are_left_out_and_named(tmp_path: Path):

@@ -92,7 +92,9 @@ def test_missing_counts_skip_their_record(tmp_path: Path):
 def test_files_without_spectra_or_of_unknown_instruments(tmp_path: Path):
     path = tmp_path / "file.nc"
     xr.Dataset({"rain": ("time", [1.0, 2.0])}).to_netcdf(path, engine="h5netcdf")
-    assert refusal(path) == "no variable has the dimensions time, diameter and fall speed (it has rain, ...)"
+    assert refusal(path).startswith(
+        "no variable has the dimensions time, diameter and fall speed (it has rain, ...); known are OTT Parsivel ("
+    )
     spectra_dataset().isel(diameter=slice(20)).to_netcdf(path, engine="h5netcdf")
     assert refusal(path).startswith("data_raw has 20 diameters and 32 fall speeds: of no instrument")
     dataset = spectra_dataset()
@@ -180,3 +182,129 @@ def test_size_is_checked_before_anything_is_unpacked(tmp_path: Path):
         file.create_dataset("time", (2**40,), "f8", chunks=(2**20,), compression="gzip")
     assert path.stat().st_size < 10_000
     assert refusal(path) == f"it holds more than {netcdf.LARGEST_DATASET // 2**20} MiB: split it by days"
+
+
+def disdrodb_dataset(product: str = "L1", sensor: str = "PARSIVEL", seconds: int = 60) -> xr.Dataset:
+    """A product as DISDRODB writes it: a Parsivel's classes without the first two and those beyond 10 mm or 10 m/s."""
+    rows, columns = slice(2, 25), slice(0, 26)
+    shift = 0.0005  # of DISDRODB's bounds
+    lower, upper = DIAMETER_EDGES_MM[:-1][rows] - shift, DIAMETER_EDGES_MM[1:][rows] - shift
+    slow, fast = VELOCITY_EDGES_M_S[:-1][columns], VELOCITY_EDGES_M_S[1:][columns]
+    diameter, velocity = "diameter_bin_center", "velocity_bin_center"
+    return xr.Dataset(
+        {
+            "raw_drop_number": (
+                ("time", diameter, velocity),
+                np.stack([rain(), DRY, rain()])[:, rows, columns].astype("f4"),
+            ),
+            "drop_number": (("time", diameter, velocity), np.zeros((3, len(lower), len(slow)), "f4")),
+            "drop_number_concentration": (("time", diameter, "velocity_method"), np.ones((3, len(lower), 2))),
+            "R": (("time", "velocity_method"), np.ones((3, 2)), {"units": "mm h-1"}),
+            "sample_interval": ((), seconds, {"units": "seconds"}),
+        },
+        coords={
+            "time": TIMES,
+            diameter: (diameter, 0.5 * (lower + upper), {"units": "mm"}),
+            velocity: (velocity, 0.5 * (slow + fast), {"units": "m/s"}),
+            "diameter_bin_lower": (diameter, lower),
+            "diameter_bin_upper": (diameter, upper, {"units": "mm"}),
+            "velocity_bin_lower": (velocity, slow, {"units": "m/s"}),
+            "velocity_bin_upper": (velocity, fast, {"units": "m/s"}),
+        },
+        attrs={"disdrodb_product": product, "sensor_name": sensor, "disdrodb_rolled_product": "False"},
+    )
+
+
+def test_disdrodb_products_have_their_classes_put_back(tmp_path: Path):
+    path = tmp_path / "L2E.nc"
+    disdrodb_dataset("L2E").to_netcdf(path, engine="h5netcdf")
+    spectra = read_disdrometer(path).spectra
+    assert spectra.instrument == "OTT Parsivel"
+    np.testing.assert_array_equal(spectra.diameter_edges_mm, DIAMETER_EDGES_MM)
+    np.testing.assert_array_equal(spectra.counts, [rain(), DRY, rain()])
+    np.testing.assert_allclose(spectra.rate_mm_h, [RAIN_MM_H, 0, RAIN_MM_H], rtol=1e-4)
+    assert np.isnan(spectra.reported_mm_h).all()  # theirs follow from the drops
+
+
+def test_sums_that_roll_on_count_each_drop_once(tmp_path: Path):
+    path = tmp_path / "L1.nc"
+    dataset = disdrodb_dataset(seconds=120)
+    dataset.attrs["disdrodb_rolled_product"] = "True"
+    dataset.to_netcdf(path, engine="h5netcdf")
+    reading = read_disdrometer(path)
+    np.testing.assert_array_equal(reading.spectra.times, TIMES[[0, 2]].astype("M8[ms]"))
+    assert reading.skipped == ("record 2 (2024-05-01T00:02:00.000): it overlaps the one before (sums that roll on)",)
+
+
+def test_a_sensor_without_fall_speeds(tmp_path: Path):
+    path = tmp_path / "L1.nc"
+    whole = disdrodb_dataset(sensor="RD80").drop_vars("drop_number")
+    counts = whole["raw_drop_number"].sum("velocity_bin_center")
+    whole.assign(raw_drop_number=counts).to_netcdf(path, engine="h5netcdf")
+    spectra = read_disdrometer(path).spectra
+    assert spectra.instrument == "Joss-Waldvogel" and spectra.velocity_edges_m_s is None
+    np.testing.assert_array_equal(spectra.counts[0, :, 0], rain()[2:25].sum(axis=1))
+    np.testing.assert_array_equal(spectra.area_m2, 0.005)
+    np.testing.assert_allclose(spectra.diameter_edges_mm[[0, -1]], [0.2495, 9.9995])
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (
+            lambda each: each.assign_attrs(sensor_name="PLUVIO"),
+            "sensor_name PLUVIO is none whose area is known (PARSIVEL,",
+        ),
+        (
+            lambda each: each.assign_attrs(sensor_name="LPM"),
+            "diameter_bin_lower: its classes are not those of the sensor",
+        ),
+        (lambda each: each.drop_vars("velocity_bin_lower"), "velocity_bin_lower is missing: the bounds of the classes"),
+        (
+            lambda each: each.assign_coords(diameter_bin_lower=-each.diameter_bin_lower),
+            "diameter_bin_lower and diameter_bin_upper must rise within 0 to 50",
+        ),
+        (
+            lambda each: each.assign_coords(diameter_bin_upper=each.diameter_bin_upper + 0.2),
+            "diameter_bin_upper: each class must end where the next begins",
+        ),
+        (
+            lambda each: each.assign_coords(velocity_bin_upper=each.velocity_bin_upper.assign_attrs(units="knots")),
+            "velocity_bin_upper is in knots, not in mm or m/s",
+        ),
+        (lambda each: each * np.nan, "no record can be used: record 1 (2024-05-01T00:01:00.000): 598 of 598 drop"),
+        (lambda each: each.isel(time=slice(0)), "it holds no record"),
+        (
+            lambda each: each.rename(velocity_bin_center="speed"),
+            "raw_drop_number has the dimensions time, diameter_bin_center, speed, not time, diameter_bin_center",
+        ),
+    ],
+)
+def test_damaged_disdrodb_products_are_refused(tmp_path: Path, change, reason: str):
+    path = tmp_path / "L1.nc"
+    with xr.set_options(keep_attrs=True):
+        change(disdrodb_dataset()).to_netcdf(path, engine="h5netcdf")
+    assert refusal(path).startswith(reason)
+
+
+def two_dvd_minutes() -> xr.Dataset:
+    counts = np.zeros((3, 50))
+    counts[0, 5] = 40
+    return xr.Dataset(
+        {
+            "num_drops": (("time", "drop_diameter"), counts),
+            "rain_rate": ("time", [0.167, 0, np.nan], {"units": "mm/hr"}),
+        },
+        coords={"time": TIMES, "drop_diameter": ("drop_diameter", 0.1 + 0.2 * np.arange(50), {"units": "mm"})},
+    )
+
+
+def test_minutes_of_arms_2dvd(tmp_path: Path):
+    path, minutes = tmp_path / "vdis.cdf", two_dvd_minutes()
+    minutes.to_netcdf(path, engine="scipy")
+    spectra = read_disdrometer(path).spectra
+    assert spectra.instrument == "2DVD" and spectra.velocity_edges_m_s is None
+    np.testing.assert_allclose(spectra.rate_mm_h[0], np.pi / 6 * 1.1**3 * 40 / 10_000 * 60)
+    np.testing.assert_allclose(spectra.reported_mm_h, [0.167, 0, np.nan])
+    minutes.assign_coords(drop_diameter=2 * minutes.drop_diameter).to_netcdf(tmp_path / "other.cdf", engine="scipy")
+    assert refusal(tmp_path / "other.cdf").startswith("drop_diameter: a 2DVD has 50 classes of 0.2 mm")

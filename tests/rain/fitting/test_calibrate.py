@@ -53,6 +53,81 @@ def test_fall_speed_and_closure_come_back(fitted):
     assert fitted.fitted_range_mm == (0.25, 8.0)
 
 
+def test_speeds_of_a_class_have_a_mean_and_a_deviation():
+    scattered = measured_rain(*HEAVY, minutes=5, seed=5, scatter=0.15)
+    light = measured_rain(*LIGHT, minutes=5, seed=6, start="2024-05-01T12:00", scatter=0.15)
+    options = msgspec.structs.replace(OPTIONS, resamples=0)
+    speeds = fit_calibration([scattered, light], name="", source="", options=options).speeds
+    counts = (scattered.counts.sum(axis=0) + light.counts.sum(axis=0)).astype(int)
+    middles = scattered.velocities_m_s
+    for diameter in (3, 7, 11):
+        drawn = np.repeat(middles, counts[diameter])
+        assert speeds.drops[diameter] == len(drawn)
+        assert speeds.mean_m_s[diameter] == pytest.approx(drawn.mean())
+        assert speeds.deviation_m_s[diameter] == pytest.approx(drawn.std(), rel=1e-6)
+        assert 0.3 < speeds.deviation_m_s[diameter] < 1.5
+    empty = counts.sum(axis=1) == 0
+    assert np.isnan(speeds.mean_m_s[empty]).all() and empty.any()
+    np.testing.assert_array_equal(speeds.fitted, (speeds.drops >= 10) & (scattered.diameters_mm < 8))
+
+
+def test_intervals_of_the_fall_speed_hold_its_coefficients(fitted):
+    intervals = fitted.velocity_confidence
+    assert intervals is not None
+    for (low, high), value in zip(intervals, fitted.calibration.velocity.coefficients, strict=True):
+        assert low < high and low - 0.02 < value < high + 0.02
+        assert 0.02 < high - low < 0.3
+
+
+def test_too_few_minutes_or_no_resamples_give_no_interval_of_the_fall_speed(rain):
+    def confidence(light_records: int, resamples: int):
+        parts = [rain[0][:light_records], rain[1][:2]]
+        heavy = replace(parts[1], counts=40 * parts[1].counts, area_m2=parts[1].area_m2)
+        light = replace(parts[0], counts=40 * parts[0].counts)
+        options = FitOptions(intensities_mm_h=(0.8 * 40, 6.6 * 40), half_width=0.6, resamples=resamples)
+        return fit_calibration([light, heavy], name="", source="", options=options).velocity_confidence
+
+    assert confidence(8, 50) is not None  # four light minutes and a heavy one
+    assert confidence(6, 50) is None
+    assert confidence(8, 0) is None
+
+
+def test_a_class_that_one_minute_alone_has_does_not_widen_the_intervals(rain):
+    """Where it isn't drawn its mean over all minutes stands in."""
+    counts = rain[1].counts.copy()
+    counts[:, 16:] = 0
+    counts[0, 19, 23] = 12  # 4.75 mm at 9.2 m/s, in one of thirty minutes
+    fitted = fit_calibration([rain[0], replace(rain[1], counts=counts)], name="", source="", options=OPTIONS)
+    assert fitted.speeds.fitted[19] and fitted.speeds.drops[19] == 12
+    for (low, high), value in zip(fitted.velocity_confidence, fitted.calibration.velocity.coefficients, strict=True):
+        assert high - low < 0.2 and low - 0.02 < value < high + 0.02
+
+
+def test_figures_are_rounded_to_four_digits(fitted):
+    velocity = fitted.calibration.velocity
+    for value in (*velocity.coefficients, velocity.r2):
+        assert value == float(f"{value:.4g}")
+
+
+def test_what_is_measured_is_judged_and_what_is_trusted_is_fitted(rain):
+    splashes = rain[0].counts.copy()
+    splashes[:, 12, 3] += 50
+    measured = [replace(rain[0], counts=splashes), rain[1]]
+    options = msgspec.structs.replace(OPTIONS, resamples=0)
+    fitted = fit_calibration(rain, measured=measured, name="", source="", options=options)
+    assert fitted.rate_check.ratio > 1.3
+    assert fitted.rows[0].row == fit_calibration(rain, name="", source="", options=options).rows[0].row
+
+
+def test_minutes_keep_both_rates_for_plots(fitted, rain):
+    assert len(fitted.minute_rate_mm_h) == len(fitted.minute_reported_mm_h) == 90
+    first = rain[0].rate_mm_h[:2].mean(), rain[0].reported_mm_h[:2].mean()
+    assert (fitted.minute_rate_mm_h[0], fitted.minute_reported_mm_h[0]) == pytest.approx(first)
+    assert (fitted.calibration.name, fitted.calibration.source) == ("test", "drawn")
+    assert [row.middle_mm_h for row in fitted.rows] == [0.8, 6.6]
+    np.testing.assert_array_equal(fitted.diameter_edges_mm, rain[0].diameter_edges_mm)
+
+
 def test_more_minutes_make_narrower_intervals(rain):
     narrow = fit_calibration(rain, name="", source="", options=OPTIONS).calibration.rows[0].confidence.density_m3
     wide = fit_calibration([rain[0][:20], rain[1]], name="", source="", options=OPTIONS)
@@ -116,6 +191,26 @@ def test_small_drops_can_be_left_out(rain):
     assert row.confidence is None
     assert row.density_m3 == pytest.approx(LIGHT[0], rel=0.1)  # those below are known from the law
     assert fitted.rows[0].drops < 0.85 * rain[0].counts.sum()
+
+
+def test_records_of_minutes_in_no_bin_are_not_used(rain):
+    options = FitOptions(intensities_mm_h=(0.8, 6.6), half_width=0.1, resamples=0)
+    fitted = fit_calibration(rain, name="", source="", options=options)
+    assert fitted.records == 180
+    assert 0 < fitted.records_used == sum(row.records for row in fitted.rows) < 180
+    wide = FitOptions(intensities_mm_h=(0.7, 0.9, 6.6), half_width=0.3, resamples=0)
+    overlapping = fit_calibration(rain, name="", source="", options=wide)
+    assert sum(row.records for row in overlapping.rows) > overlapping.records_used <= 180
+
+
+def test_the_refusal_says_how_much_rain_each_bin_has(rain):
+    options = FitOptions(intensities_mm_h=(0.8, 3.0, 6.6), half_width=0.3, resamples=0)
+    few = replace(rain[1][:2], counts=rain[1].counts[:2] * (np.arange(32) > 6)[:, None])
+    with pytest.raises(ValueError) as caught:
+        fit_calibration([rain[0], few], name="", source="", options=options)
+    said = str(caught.value)
+    assert "two intensities with 5000 drops, or 500 in 5 minutes: of 3 bins 1 have them (" in said
+    assert "6.6 mm/h: 1 minutes with" in said and "3 mm/h: no rain" not in said
 
 
 def test_bins_without_rain_are_named(rain):

@@ -1,5 +1,7 @@
 """What the rain panels measure, without a window."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,8 @@ from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
 from gsrain_engine.session.rain.calibrations import compare_calibration, use_calibration, use_fitted_calibration
 from gsrain_engine.session.rain.rain_lab import RainLab
 from gsrain_engine.session.session import Session
+from measured_rain import measured_rain
+from parsivel_text import rain, velocity_major
 
 
 @pytest.fixture
@@ -49,6 +53,37 @@ def test_what_goes_wrong_is_one_sentence_and_the_last_result_stays(lab, tmp_path
     wait(lab)
     assert "bad.txt" in lab.problem
     assert (lab.counted, lab.fitted) == (None, None)
+
+
+def test_files_whose_rates_disagree_are_summed_up_and_fitted_only_by_force(lab, tmp_path):
+    heavy = measured_rain(1190.0, 7.132, 0.114, minutes=20, seed=3)
+    light = measured_rain(271.0, 9.705, 0.074, minutes=20, seed=4, start="2024-05-01T10:20")
+    both = heavy.concatenate([heavy, light])
+    snow = tmp_path / "snow.nc"
+    write_spectra(snow, replace(both, reported_mm_h=both.reported_mm_h / 2.27))
+    lab.fit([snow])
+    wait(lab)
+    assert lab.problem.startswith("snow.nc: its drops give 2.3") and lab.fitted is None
+    assert lab.disagreeing == (snow,)
+    assert [each.file for each in lab.measured] == ["snow.nc"]
+    lab.fit(lab.disagreeing, force=True)
+    wait(lab)
+    assert (lab.problem, lab.disagreeing) == (None, ())
+    assert "its drops give 2.3" in lab.fitted.calibration.source
+    assert lab.measured[0].rate_check.agrees is False
+
+
+def test_a_table_is_fitted_with_the_yaml_file_chosen_with_it(lab, tmp_path):
+    table, columns = tmp_path / "table.csv", tmp_path / "columns.yaml"
+    table.write_text("\n".join(["when|which", f"2024-02-19 00:01:00|{','.join(velocity_major(rain()))}"]))
+    columns.write_text("{instrument: OTT Parsivel, separator: '|', time: when, drops: which}")
+    lab.fit([columns, table])
+    wait(lab)
+    assert "too few drops to fit" in lab.problem and lab.disagreeing == ()
+    assert lab.measured[0].records == 1
+    lab.fit([columns])
+    wait(lab)
+    assert "choose disdrometer files, and at most one YAML file" in lab.problem and lab.measured == ()
 
 
 def test_a_fit_is_kept_and_used(tmp_path, monkeypatch):

@@ -1,0 +1,32 @@
+"""`gsrain info FILE` of a disdrometer's measurements, and the option that says which of a table's columns is what."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from gsrain_engine.rain.disdrometer.reading import UnknownKindError
+from gsrain_engine.rain.disdrometer.tables import TableColumns, load_columns
+from gsrain_engine.rain.fitting.measured_file import open_measured
+
+Columns = Annotated[
+    Path | None,
+    Parameter(help="YAML file that says which column is what, for tables of disdrometers that no reader knows."),
+]
+
+
+def columns_of(file: Path | None) -> TableColumns | None:
+    """Read what `--columns` names. Raises `ValueError` with the file and the field, `OSError`."""
+    return None if file is None else load_columns(file)
+
+
+def disdrometer_info(file: Path, columns: Path | None) -> dict[str, Any]:
+    """Print what a disdrometer file holds; returns the numbers. Raises `ValueError`."""
+    try:
+        measured = open_measured(file, columns_of(columns)).measured()
+    except UnknownKindError as error:
+        raise ValueError(
+            str(error).replace(f"{file}: ", f"{file}: no scene and no capture; as measured rain: ", 1)
+        ) from None
+    print("\n".join(measured.lines))
+    return measured.numbers()
