@@ -14,7 +14,7 @@ from gsrain_engine.rain.fitting.measured_file import Measured, MeasuredFile, ope
 from gsrain_engine.rain.fitting.plot import check_plot_name, write_plot
 from gsrain_engine.rain.fitting.result import FittedCalibration, FittedRow
 
-from ..console import Console, Table, print
+from ..console import Console, Table, print, print_lines
 from .arguments import JsonFile, write_numbers
 from .converted_options import converted_options
 from .disdrometer_info import Columns, columns_of
@@ -74,7 +74,7 @@ def calibrate(
             advance()
     found = [each.measured() for each in measured]
     for each in found:
-        print("\n".join(each.lines))
+        print_lines("\n".join(each.lines))
     try:
         fitted = calibrate_files(measured, name=name or output.stem, options=options, force=force)
     except RatesDisagreeError as error:

@@ -9,6 +9,8 @@ from gsrain_engine.rain.disdrometer.reading import UnknownKindError
 from gsrain_engine.rain.disdrometer.tables import TableColumns, load_columns
 from gsrain_engine.rain.fitting.measured_file import open_measured
 
+from ..console import print_lines
+
 Columns = Annotated[
     Path | None,
     Parameter(help="YAML file that says which column is what, for tables of disdrometers that no reader knows."),
@@ -28,5 +30,5 @@ def disdrometer_info(file: Path, columns: Path | None) -> dict[str, Any]:
         raise ValueError(
             str(error).replace(f"{file}: ", f"{file}: no scene and no capture; as measured rain: ", 1)
         ) from None
-    print("\n".join(measured.lines))
+    print_lines("\n".join(measured.lines))
     return measured.numbers()
