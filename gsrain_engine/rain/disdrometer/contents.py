@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError
-from gsrain_engine.untrusted.plain_values import read_at_most
+from gsrain_engine.untrusted.limits import TooLargeError, read_file
 
 LARGEST_FILE = 256 * 2**20
 """Bytes, after inflation: about two months of a Parsivel's minutes as text."""
+
+_TOO_LARGE = f"the file holds more than {LARGEST_FILE // 2**20} MiB: split it by days"
 
 MOST_LINES = 8_000_000
 """Of text: a telegram has a line a field, and some hundred bytes in each three or four."""
@@ -50,7 +52,9 @@ def read_contents(path: Path) -> Contents:
     damaged. A gzip stream that is only cut off gives what came before the cut.
     """
     try:
-        data = read_at_most(path, LARGEST_FILE)
+        data = read_file(path, LARGEST_FILE)
+    except TooLargeError:
+        raise DisdrometerFileError(path, _TOO_LARGE) from None
     except OSError as error:
         raise DisdrometerFileError(path, error.strerror or str(error)) from None
     cut_off = False
@@ -59,7 +63,7 @@ def read_contents(path: Path) -> Contents:
     if not data:
         raise DisdrometerFileError(path, "the file is empty")
     if len(data) > LARGEST_FILE:
-        raise DisdrometerFileError(path, f"the file holds more than {LARGEST_FILE // 2**20} MiB: split it by days")
+        raise DisdrometerFileError(path, _TOO_LARGE)
     return Contents(path, data, cut_off)
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from gsrain_engine.untrusted.limits import open_file
+
 from ..calibration import Provenance, SourceFile
 from ..counted_drops import INSTRUMENT as VIRTUAL_INSTRUMENT
 from ..disdrometer.files import Reading, SingleDrops, read_disdrometer
@@ -95,5 +97,5 @@ def _provenance(files: Sequence[MeasuredFile], fitted: FittedCalibration, option
 
 
 def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
+    with open_file(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
