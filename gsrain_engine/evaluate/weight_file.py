@@ -24,7 +24,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
 
     Raises FileNotFoundError, and ValueError with the file's name where it can't be read or holds more than arrays.
     """
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     if path.suffix == ".npz":
         try:

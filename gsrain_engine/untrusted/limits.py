@@ -134,24 +134,24 @@ def read_file(path: Path | str, max_bytes: int = MAX_FILE_BYTES) -> bytes:
         return b"".join(parts)
 
 
-def read_input(path: Path | str, max_bytes: int, within_s: float = PIPE_WAIT_S) -> bytes:
+def read_input(path: Path | str, max_bytes: int) -> bytes:
     """Read a regular file, or a pipe such as `/dev/stdin` or `<(command)` to its end, of at most so many bytes.
 
-    A pipe must be at its end after `within_s` seconds. Raises `InputError` for that and for devices, sockets and
+    A pipe must be at its end within `PIPE_WAIT_S`. Raises `InputError` for that and for devices, sockets and
     folders, `TooLargeError`, OSError.
     """
     if not stat.S_ISFIFO(_status(path).st_mode):
         return read_file(path, max_bytes)
     pipe = _opened(path, pipe=True)
     try:
-        return read_pipe(pipe, ByteBudget(max_bytes, path), Deadline(within_s))
+        return read_pipe(pipe, ByteBudget(max_bytes, path), Deadline(PIPE_WAIT_S))
     except TimeoutError:
-        raise InputError(errno.ETIMEDOUT, f"a pipe that does not end within {within_s:g} s", str(path)) from None
+        raise InputError(errno.ETIMEDOUT, f"a pipe that has not ended within {PIPE_WAIT_S:g} s", str(path)) from None
     finally:
         os.close(pipe)
 
 
-def read_pipe(pipe: int, budget: ByteBudget, deadline: Deadline, idle: Callable[[], None] | None = None) -> bytes:
+def read_pipe(pipe: int, budget: ByteBudget, deadline: Deadline, idle: Callable[[], object] = bool) -> bytes:
     """Read the descriptor of a pipe, opened without waiting, to its end.
 
     `idle` is called while nothing comes, and may raise where nothing will: what came before that still counts. Raises
@@ -162,8 +162,11 @@ def read_pipe(pipe: int, budget: ByteBudget, deadline: Deadline, idle: Callable[
     data = bytearray()
     while True:
         if not poll.poll(1000 * min(_LOOK_S, deadline.check())):
-            if idle is not None:
-                _unless_ready(poll, idle)
+            try:
+                idle()
+            except Exception:
+                if not poll.poll(0):  # what it wrote before it ended is read first
+                    raise
             continue
         try:
             part = os.read(pipe, _BLOCK_BYTES)
@@ -175,7 +178,7 @@ def read_pipe(pipe: int, budget: ByteBudget, deadline: Deadline, idle: Callable[
         budget.spend(len(part))
 
 
-def write_pipe(pipe: int, data: memoryview | bytes, deadline: Deadline, idle: Callable[[], None]) -> None:
+def write_pipe(pipe: int, data: memoryview | bytes, deadline: Deadline, idle: Callable[[], object]) -> None:
     """Write to the descriptor of a pipe, opened without waiting; returns when it has taken in the last byte.
 
     `idle` is called while it takes nothing, and may raise. Raises TimeoutError, BrokenPipeError.
@@ -327,12 +330,3 @@ def _check_kind(path: Path | str, status: os.stat_result, *, pipe: bool) -> None
 def _refuse_size(name: Path | str, max_bytes: int) -> NoReturn:
     size = f"{max_bytes / 1e6:.0f} MB" if max_bytes >= 10**6 else f"{max_bytes} bytes"
     raise TooLargeError(errno.EFBIG, f"larger than {size}, which no such file needs", str(name))
-
-
-def _unless_ready(poll: select.poll, idle: Callable[[], None]) -> None:
-    """Ask whether to go on; what the other end wrote before it ended is read first."""
-    try:
-        idle()
-    except Exception:
-        if not poll.poll(0):
-            raise

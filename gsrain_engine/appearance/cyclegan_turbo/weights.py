@@ -80,7 +80,7 @@ def open_weights(path: Path) -> WeightsFile:
 
     Raises FileNotFoundError, and ValueError with the file's name where it can't be read.
     """
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"{path}: no such file of weights")
     if path.suffix == ".safetensors":
         state, metadata = _safetensors(path)
