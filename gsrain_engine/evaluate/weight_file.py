@@ -84,8 +84,8 @@ def _torch_state(path: Path) -> dict[str, np.ndarray]:
     except ModuleNotFoundError as error:
         raise ValueError(f"{path}: reading it takes torch: pip install 'gsrain[jobs]'") from error
     try:
-        with open_file(path) as file:
-            state: Mapping[str, Any] = torch.load(file, map_location="cpu", weights_only=True)
+        with open_file(path) as stream:
+            state: Mapping[str, Any] = torch.load(stream, map_location="cpu", weights_only=True)
         return {name: tensor.float().numpy() for name, tensor in state.items()}
     except Exception as error:  # torch fails in many ways; its words are the finding
         first = str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -88,8 +88,8 @@ def open_weights(path: Path) -> WeightsFile:
             check_header(metadata, str(path))
         return WeightsFile(path, state, metadata)
     try:
-        with open_file(path) as file:
-            state = torch.load(file, map_location="cpu", weights_only=True)
+        with open_file(path) as stream:
+            state = torch.load(stream, map_location="cpu", weights_only=True)
     except Exception as error:  # torch fails in many ways; its words are the finding
         first = str(error).split("\n")[0].strip() or type(error).__name__
         raise ValueError(f"{path}: not a readable file of torch weights: {printable(first)}") from None

@@ -59,8 +59,8 @@ def open_dsine(checkout: Path, weights: Path, device: str = "cpu") -> DsineNorma
     Raises ValueError where the folder is not its program, the file not its weights, or `geffnet` is not installed.
     """
     try:
-        with open_file(weights) as file:
-            state = torch.load(file, map_location="cpu", weights_only=True)["model"]
+        with open_file(weights) as stream:
+            state = torch.load(stream, map_location="cpu", weights_only=True)["model"]
         state = {key.removeprefix("module."): value for key, value in state.items()}
     except Exception as error:  # torch raises many kinds for a file that is something else
         raise ValueError(f"{weights}: not DSINE's weights ({type(error).__name__}: {error})") from None

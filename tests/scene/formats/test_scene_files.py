@@ -1,6 +1,5 @@
 """Any file or folder in, any out: names choose the format, and a failure leaves what was there."""
 
-import io
 import os
 from pathlib import Path
 from typing import Any
