@@ -1,6 +1,7 @@
 """One deadline and one byte budget: real files, pipes and devices; and no line of the program goes around them."""
 
 import ast
+import multiprocessing
 import os
 import re
 import socket
@@ -25,6 +26,7 @@ from gsrain_engine.untrusted.limits import (
     read_file,
     read_input,
     read_pipe,
+    receive_message,
     write_pipe,
 )
 
@@ -238,6 +240,16 @@ def test_only_pipes_are_opened_as_pipes(tmp_path, fifo):
     handle = open_pipe(fifo, os.O_RDONLY)
     assert stat.S_ISFIFO(os.fstat(handle).st_mode)
     os.close(handle)
+
+
+def test_messages_of_workers_have_a_budget():
+    ours, theirs = multiprocessing.Pipe()
+    theirs.send({"a": 1})
+    assert receive_message(ours, 1000) == {"a": 1}
+    theirs.send("x" * 1000)
+    with pytest.raises(OSError, match="bad message length"):
+        receive_message(ours, 1000)
+    theirs.close()
 
 
 def test_a_name_server_that_is_silent_is_not_waited_for(monkeypatch):

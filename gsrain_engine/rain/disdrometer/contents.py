@@ -10,8 +10,6 @@ from gsrain_engine.untrusted.limits import TooLargeError, read_file
 LARGEST_FILE = 256 * 2**20
 """Bytes, after inflation: about two months of a Parsivel's minutes as text."""
 
-_TOO_LARGE = f"the file holds more than {LARGEST_FILE // 2**20} MiB: split it by days"
-
 MOST_LINES = 8_000_000
 """Of text: a telegram has a line a field, and some hundred bytes in each three or four."""
 
@@ -54,7 +52,7 @@ def read_contents(path: Path) -> Contents:
     try:
         data = read_file(path, LARGEST_FILE)
     except TooLargeError:
-        raise DisdrometerFileError(path, _TOO_LARGE) from None
+        raise _too_large(path) from None
     except OSError as error:
         raise DisdrometerFileError(path, error.strerror or str(error)) from None
     cut_off = False
@@ -63,8 +61,12 @@ def read_contents(path: Path) -> Contents:
     if not data:
         raise DisdrometerFileError(path, "the file is empty")
     if len(data) > LARGEST_FILE:
-        raise DisdrometerFileError(path, _TOO_LARGE)
+        raise _too_large(path)
     return Contents(path, data, cut_off)
+
+
+def _too_large(path: Path) -> DisdrometerFileError:
+    return DisdrometerFileError(path, f"the file holds more than {LARGEST_FILE // 2**20} MiB: split it by days")
 
 
 def _inflate(path: Path, data: bytes) -> tuple[bytes, bool]:
