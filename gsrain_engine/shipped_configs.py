@@ -87,7 +87,7 @@ def _data(folder: str, name: str, what: str) -> bytes:
     if name in shipped_names(folder):
         return resources.files("sample_configs").joinpath(folder, f"{name}.yaml").read_bytes()
     path = Path(name)
-    if not path.is_file():
+    if not path.exists():
         known = ", ".join(shipped_names(folder))
         raise ValueError(f"{what} {name}: no such file, and none of the shipped ones ({known})")
     return read_whole(path)

@@ -11,6 +11,8 @@ from typing import Any
 
 import msgspec
 
+from gsrain_engine.untrusted.limits import read_file
+
 from .capture import Capture, CaptureError
 from .files.picture_file import pictures_in
 from .image_folder import capture_without_poses
@@ -84,7 +86,7 @@ def _label_files(path: Path, wanted: set[str]) -> list[Path]:
 
 def _rows(file: Path) -> Iterable[_Labelled]:
     try:
-        rows = msgspec.json.decode(file.read_bytes(), type=list[_Labelled] | _Labelled)
+        rows = msgspec.json.decode(read_file(file), type=list[_Labelled] | _Labelled)
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise CaptureError(f"{file}: no label file of BDD-100K ({error})") from None
     return rows if isinstance(rows, list) else [rows]

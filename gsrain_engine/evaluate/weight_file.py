@@ -11,6 +11,7 @@ import numpy as np
 from gsrain_engine.datasets.files.safe_pickle import read_pickle
 from gsrain_engine.scene.atomic_files import whole_file
 from gsrain_engine.untrusted.array_archives import read_archive
+from gsrain_engine.untrusted.limits import check_file, open_file
 from gsrain_engine.untrusted.printable import printable
 
 SUFFIXES = (".npz", ".safetensors", ".ckpt", ".pth", ".pt")
@@ -23,7 +24,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
 
     Raises FileNotFoundError, and ValueError with the file's name where it can't be read or holds more than arrays.
     """
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     if path.suffix == ".npz":
         try:
@@ -57,7 +58,7 @@ def write_arrays(path: Path, arrays: Arrays) -> None:
 
 def hash_of(path: Path) -> str:
     """Return the SHA-256 of a file, in hexadecimal digits."""
-    with path.open("rb") as file:
+    with open_file(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -70,6 +71,7 @@ def _safetensors_module(path: Path) -> Any:
 
 def _safetensors(path: Path) -> dict[str, np.ndarray]:
     load: Any = _safetensors_module(path).load_file
+    check_file(path)
     try:
         return load(path)
     except Exception as error:  # its error class is not public
@@ -82,7 +84,8 @@ def _torch_state(path: Path) -> dict[str, np.ndarray]:
     except ModuleNotFoundError as error:
         raise ValueError(f"{path}: reading it takes torch: pip install 'gsrain[jobs]'") from error
     try:
-        state: Mapping[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        with open_file(path) as stream:
+            state: Mapping[str, Any] = torch.load(stream, map_location="cpu", weights_only=True)
         return {name: tensor.float().numpy() for name, tensor in state.items()}
     except Exception as error:  # torch fails in many ways; its words are the finding
         first = str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -4,6 +4,7 @@ import hashlib
 from pathlib import Path
 
 from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.untrusted.limits import open_file
 
 from .formats.scene_folder import scene_folder_files
 from .open_scene import is_built_in, scene_folder_of, street_fingerprint
@@ -33,5 +34,5 @@ def scene_hash(name: str | None) -> str:
 
 def file_hash(path: Path) -> str:
     """Return a hash (SHA-256, 16 hex digits) of a file's bytes; raises OSError where it can't be read."""
-    with path.open("rb") as file:
+    with open_file(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()[:_DIGITS]

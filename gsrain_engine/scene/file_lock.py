@@ -22,6 +22,10 @@ except ImportError:  # Windows
     fcntl = None
 
 
+_WITHOUT_WAITING = getattr(os, "O_NONBLOCK", 0)
+"""A pipe of that name would keep whoever opens it until somebody comes to its other end."""
+
+
 class FileLock:
     """A lock that is held from `take` until `release`, or until the process ends."""
 
@@ -38,7 +42,7 @@ class FileLock:
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         while True:
-            handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+            handle = os.open(path, os.O_RDWR | os.O_CREAT | _WITHOUT_WAITING, 0o600)
             if not _lock(handle, waiting=False):
                 os.close(handle)
                 return None
@@ -194,7 +198,7 @@ def locked(path: Path) -> Generator[None]:
     if fcntl is None and path.is_dir():
         yield
         return
-    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    handle = os.open(path, (os.O_RDONLY if path.is_dir() else os.O_RDWR) | _WITHOUT_WAITING)
     try:
         _lock(handle, waiting=True)
         yield
@@ -211,7 +215,7 @@ def locked_if_free(path: Path) -> Generator[bool]:
     if fcntl is None:
         yield True
         return
-    handle = os.open(path, os.O_RDONLY)
+    handle = os.open(path, os.O_RDONLY | _WITHOUT_WAITING)
     try:
         yield _lock(handle, waiting=False)
     finally:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from .array_header import array_bytes, read_array_header
+from .limits import open_file
 
 _MOST_BYTES = 8 << 30
 _SUFFIX = ".npy"
@@ -27,7 +28,7 @@ def read_archive(path: Path, most_bytes: int = _MOST_BYTES) -> dict[str, np.ndar
     Raises FileNotFoundError, and ValueError with what is wrong where the archive is damaged, would take more memory
     than `most_bytes`, says another size than it has, or holds objects.
     """
-    with path.open("rb") as stream:
+    with open_file(path) as stream:
         try:
             return _arrays(stream, most_bytes)
         except DAMAGES as error:

@@ -7,12 +7,11 @@ from typing import Any
 
 import yaml
 
+from .limits import InputError, read_input
 from .printable import printable
 
 MOST_BYTES = 1 << 24
 """Of a file of settings: a scenario with an hour of tracks has a tenth of it."""
-
-_BLOCK_BYTES = 1 << 20
 
 _MOST_DEPTH = 100
 _MOST_VALUES = 300_000
@@ -29,22 +28,15 @@ _SOURCE = ' in "<byte string>",'
 _Parser: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-def read_whole(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
-    """Read a file of at most so many bytes. Raises ValueError with its name where it is larger, OSError."""
-    data = read_at_most(path, most_bytes) if path.stat().st_size <= most_bytes else None
-    if data is None or len(data) > most_bytes:  # it may have grown, or be no file that knows its size
-        raise ValueError(f"{path}: larger than {most_bytes / 1e6:.0f} MB, which no such file needs")
-    return data
+def read_whole(path: Path, max_bytes: int = MOST_BYTES) -> bytes:
+    """Read settings: a file, or a pipe such as `<(command)`, of at most so many bytes.
 
-
-def read_at_most(path: Path, most_bytes: int) -> bytes:
-    """Read a file to its end, or until there is one byte more than so many. Raises OSError."""
-    parts, size = list[bytes](), 0
-    with path.open("rb") as file:
-        while size <= most_bytes and (part := file.read(min(_BLOCK_BYTES, most_bytes + 1 - size))):
-            parts.append(part)
-            size += len(part)
-    return b"".join(parts)
+    Raises ValueError with its name where it is larger or neither of them, OSError where it can't be read.
+    """
+    try:
+        return read_input(path, max_bytes)
+    except InputError as error:
+        raise ValueError(str(error)) from None
 
 
 def yaml_values(data: bytes) -> Any:

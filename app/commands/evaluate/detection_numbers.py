@@ -24,6 +24,7 @@ from gsrain_engine.evaluate.detection.summary import (
 )
 from gsrain_engine.evaluate.detection.sweep import Judgement, Row, rows_of
 from gsrain_engine.evaluate.detection.truth import LEAST_HEIGHT_PX, LEAST_VISIBILITY
+from gsrain_engine.untrusted.limits import open_file
 
 from ...console import Console, Table
 from .detection_source import PreparedSource
@@ -137,5 +138,5 @@ def _change(mean: float, low: float, high: float) -> str:
 
 
 def _sha256(file: Path) -> str:
-    with file.open("rb") as stream:
+    with open_file(file) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

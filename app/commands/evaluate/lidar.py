@@ -149,10 +149,11 @@ def _sensor(name: str, range_10: float | None, least_reflectance: float | None) 
     sensor = SENSORS.get(name)
     if sensor is None:
         path = Path(name)
-        if not path.is_file():
+        if not path.exists():
             raise ValueError(f"--sensor {name}: expected {', '.join(SENSORS)}, or a YAML file of a sensor")
+        data = read_whole(path)
         try:
-            sensor = converted(yaml_values(read_whole(path)), LidarSensor)
+            sensor = converted(yaml_values(data), LidarSensor)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
     if range_10 is not None:

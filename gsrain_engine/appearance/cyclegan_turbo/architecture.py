@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gsrain_engine.untrusted.limits import read_file
+from gsrain_engine.untrusted.plain_values import MOST_BYTES
+
 
 @dataclass(frozen=True, slots=True)
 class TurboArchitecture:
@@ -101,7 +104,7 @@ def check_base(folder: Path, architecture: TurboArchitecture) -> None:
 
 def _check(file: Path, wanted: Mapping[str, Any]) -> None:
     try:
-        found: Any = json.loads(file.read_text(encoding="utf-8"))
+        found: Any = json.loads(read_file(file, MOST_BYTES).decode("utf-8"))
     except OSError as error:
         raise FileNotFoundError(f"{file}: no such file; a folder of SD-Turbo in diffusers' layout has it") from error
     except ValueError as error:

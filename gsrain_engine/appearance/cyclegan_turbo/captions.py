@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.untrusted.limits import check_file
 
 from .architecture import TurboArchitecture
 from .places import captions_file, text_encoder_folder
@@ -75,6 +76,7 @@ def _read(cache: Path) -> dict[str, Tensor]:
         return {}
     load: Any = import_module("safetensors.torch").load_file
     try:
+        check_file(cache)
         return dict(load(cache))
     except Exception as error:  # its error class is not public
         raise ValueError(f"{cache}: not a readable file of captions: {error}") from error

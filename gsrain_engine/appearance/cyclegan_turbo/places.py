@@ -5,6 +5,8 @@ from pathlib import Path
 
 import platformdirs
 
+from gsrain_engine.untrusted.limits import read_file
+
 BASE_VARIABLE = "GSRAIN_SD_TURBO"
 """Environment variable with a folder of SD-Turbo in diffusers' layout."""
 WEIGHTS_VARIABLE = "GSRAIN_TRANSFER_WEIGHTS"
@@ -12,6 +14,7 @@ WEIGHTS_VARIABLE = "GSRAIN_TRANSFER_WEIGHTS"
 
 PUBLISHED_URL = "https://www.cs.cmu.edu/~img2img-turbo/models/clear2rainy.pkl"
 _HUB_NAME = "stabilityai/sd-turbo"
+_MAX_NAME_BYTES = 1 << 10
 _PARTS = ("unet", "vae")
 _SUFFIXES = (".safetensors", ".pkl", ".pt", ".pth")
 
@@ -100,7 +103,7 @@ def captions_file() -> Path:
 def hub_snapshots(name: str) -> list[Path]:
     """Snapshots of a model in the cache of Hugging Face's tools, the one that "main" names first."""
     main = _hub_cache(name) / "refs" / "main"
-    named = main.read_text(encoding="utf-8").strip() if main.is_file() else ""
+    named = read_file(main, _MAX_NAME_BYTES).decode("utf-8").strip() if main.is_file() else ""
     return sorted((_hub_cache(name) / "snapshots").glob("*"), key=lambda folder: (folder.name != named, folder.name))
 
 

@@ -6,6 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from gsrain_engine.untrusted.limits import check_file, open_file
 from gsrain_engine.untrusted.printable import printable
 
 from .delta import TurboDelta, take_in
@@ -79,7 +80,7 @@ def open_weights(path: Path) -> WeightsFile:
 
     Raises FileNotFoundError, and ValueError with the file's name where it can't be read.
     """
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"{path}: no such file of weights")
     if path.suffix == ".safetensors":
         state, metadata = _safetensors(path)
@@ -87,7 +88,8 @@ def open_weights(path: Path) -> WeightsFile:
             check_header(metadata, str(path))
         return WeightsFile(path, state, metadata)
     try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        with open_file(path) as stream:
+            state = torch.load(stream, map_location="cpu", weights_only=True)
     except Exception as error:  # torch fails in many ways; its words are the finding
         first = str(error).split("\n")[0].strip() or type(error).__name__
         raise ValueError(f"{path}: not a readable file of torch weights: {printable(first)}") from None
@@ -128,6 +130,7 @@ def _safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     except ModuleNotFoundError as error:
         raise ValueError(f"{path}: reading it takes safetensors: pip install 'gsrain[diffusion]'") from error
     try:
+        check_file(path)
         with safetensors.safe_open(path, framework="pt") as file:
             names: list[str] = file.keys()
             return {name: file.get_tensor(name) for name in names}, dict(file.metadata() or {})

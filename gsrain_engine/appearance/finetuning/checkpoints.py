@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.untrusted.limits import check_file
 from gsrain_engine.untrusted.printable import printable
 
 from .settings import FinetuningSettings
@@ -67,6 +68,7 @@ def read_checkpoint(file: Path, settings: FinetuningSettings, pictures: str, per
     if not file.is_file():
         raise FinetuningCheckpointError(f"{file}: there is no checkpoint to resume from; begin anew without --resume")
     try:
+        check_file(file)
         with safetensors.safe_open(str(file), "pt") as opened:
             head = msgspec.json.decode((opened.metadata() or {})[_HEAD], type=_Head)
             tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118 (no mapping)

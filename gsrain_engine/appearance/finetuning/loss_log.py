@@ -5,6 +5,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from importlib.util import find_spec
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -12,6 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.untrusted.limits import open_file
 
 logger = logging.getLogger("gsrain")
 
@@ -89,7 +91,7 @@ def read_losses(file: Path) -> list[dict[str, float]]:
     if not file.is_file():
         return []
     rows: list[dict[str, float]] = []
-    with file.open(newline="", encoding="utf-8") as stream:
+    with TextIOWrapper(open_file(file), newline="", encoding="utf-8") as stream:
         for row in csv.DictReader(stream):
             try:
                 rows.append({name: float(value) for name, value in row.items()})

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.untrusted.limits import open_file
 
 from .axes import from_right_down_outward
 from .dsine_checkout import dsine_module
@@ -58,7 +59,8 @@ def open_dsine(checkout: Path, weights: Path, device: str = "cpu") -> DsineNorma
     Raises ValueError where the folder is not its program, the file not its weights, or `geffnet` is not installed.
     """
     try:
-        state = torch.load(weights, map_location="cpu", weights_only=True)["model"]
+        with open_file(weights) as stream:
+            state = torch.load(stream, map_location="cpu", weights_only=True)["model"]
         state = {key.removeprefix("module."): value for key, value in state.items()}
     except Exception as error:  # torch raises many kinds for a file that is something else
         raise ValueError(f"{weights}: not DSINE's weights ({type(error).__name__}: {error})") from None

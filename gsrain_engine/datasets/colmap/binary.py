@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from gsrain_engine.untrusted.limits import read_file
+
 from ..capture import CaptureError
 from .model import PARAMETERS, ColmapCamera, ColmapImage, ColmapModel
 
@@ -29,9 +31,9 @@ class _Bytes:
     def __init__(self, file: Path) -> None:
         self.file = file
         try:
-            self.data = file.read_bytes()
+            self.data = read_file(file)
         except OSError as error:
-            raise CaptureError(f"{file}: can't be read ({error})") from None
+            raise CaptureError(f"{file}: can't be read ({error.strerror})") from None
         self.at = 0
 
     def take(self, layout: struct.Struct) -> tuple[Any, ...]:

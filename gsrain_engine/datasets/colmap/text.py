@@ -1,13 +1,18 @@
 """COLMAP's text files: cameras.txt, images.txt, points3D.txt."""
 
 from collections.abc import Iterator
+from io import TextIOWrapper
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from gsrain_engine.untrusted.limits import open_file
+
 from ..capture import CaptureError
 from .model import ColmapCamera, ColmapImage, ColmapModel
+
+_MAX_TEXT_BYTES = 1 << 34
 
 
 def read_colmap_text(folder: Path) -> ColmapModel:
@@ -65,7 +70,7 @@ def _points(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarray, "
 
 def _lines(file: Path) -> Iterator[tuple[int, str]]:
     try:
-        with file.open(encoding="utf-8") as stream:
+        with TextIOWrapper(open_file(file, _MAX_TEXT_BYTES), encoding="utf-8") as stream:
             for number, line in enumerate(stream, 1):
                 yield number, line.strip()
     except (OSError, UnicodeDecodeError) as error:

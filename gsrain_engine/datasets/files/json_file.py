@@ -4,23 +4,21 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ..capture import CaptureError
-from .regular_file import check_regular
+from gsrain_engine.untrusted.limits import InputError, read_file
 
-_MOST_BYTES = 1 << 30
+from ..capture import CaptureError
+
+_MAX_BYTES = 1 << 30
 
 
 def read_json(file: Path) -> Any:
     """Read a JSON file; `CaptureError` that names it where it is missing, broken or larger than 1 GB."""
     try:
-        check_regular(file)
-        if file.stat().st_size > _MOST_BYTES:
-            raise CaptureError(f"{file}: has more than {_MOST_BYTES >> 30} GB")
-        return json.loads(file.read_text(encoding="utf-8"))
+        return json.loads(read_file(file, _MAX_BYTES).decode("utf-8"))
     except FileNotFoundError:
         raise CaptureError(f"{file}: no such file") from None
-    except CaptureError:
-        raise
+    except InputError as error:
+        raise CaptureError(str(error)) from None
     except (OSError, ValueError, RecursionError) as error:
         raise CaptureError(f"{file}: not a JSON file that can be read ({error})") from None
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from gsrain_engine.untrusted.array_archives import DAMAGES, read_member
+from gsrain_engine.untrusted.limits import InputError, open_file
 
 from ..capture import CaptureError
 from .expansion import check_expansion
-from .regular_file import check_regular
 
 _MOST_BYTES = 1 << 29
 
@@ -20,9 +20,8 @@ def read_npz(file: Path, key: str) -> np.ndarray[Any, np.dtype[Any]]:
 
     Raises `CaptureError` where it is missing, damaged, larger than 0.5 GB, or out of all proportion to its file.
     """
-    check_regular(file)
     try:
-        with zipfile.ZipFile(file) as archive:
+        with open_file(file) as stream, zipfile.ZipFile(stream) as archive:
             members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}
             if key not in members:
                 raise CaptureError(f"{file}: has no array {key!r}, only {', '.join(members) or 'nothing'}")
@@ -31,6 +30,8 @@ def read_npz(file: Path, key: str) -> np.ndarray[Any, np.dtype[Any]]:
         raise CaptureError(f"{file}: no such file") from None
     except CaptureError:
         raise
+    except InputError as error:
+        raise CaptureError(str(error)) from None
     except DAMAGES as error:
         raise CaptureError(f"{file}: not a readable .npz file ({error})") from None
 

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from gsrain_engine.untrusted.limits import check_file
+
 from ..capture import CaptureError
 
 _ROWS_AT_ONCE = 8
@@ -57,6 +59,7 @@ class ParquetFile:
 
     def _opened(self) -> Any:
         try:
+            check_file(self.path)
             return _parquet().ParquetFile(self.path)
         except _DAMAGES as error:
             raise CaptureError(f"{self.path}: not a Parquet file that can be read ({error})") from None
@@ -69,6 +72,7 @@ class ParquetFile:
 @lru_cache(maxsize=2)
 def _group(path: Path, column: str, group: int) -> Any:
     try:
+        check_file(path)
         return _parquet().ParquetFile(path).read_row_group(group, columns=[column]).column(column)
     except _DAMAGES as error:
         raise CaptureError(f"{path}: can't be read ({error})") from None

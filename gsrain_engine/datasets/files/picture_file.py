@@ -1,6 +1,7 @@
 """Reads pictures of a data set, and tells cheaply whether one is there, whole, and of which size."""
 
 import io
+import os
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,14 +10,15 @@ import numpy as np
 from jaxtyping import Bool, Shaped, UInt8
 from PIL import Image, ImageOps
 
+from gsrain_engine.untrusted.limits import InputError, open_file
+
 from ..capture import CaptureError
 from .expansion import check_expansion
-from .regular_file import check_regular
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 """Names of pictures end with one of these, in small or capital letters."""
 
-_TAIL_BYTES = 1 << 16
+_MAX_BYTES, _TAIL_BYTES = 1 << 31, 1 << 16
 _JPEG_END, _PNG_END = b"\xff\xd9", b"IEND"
 _BYTES_OF_A_PIXEL = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I;16L": 2}
 """Of Pillow's modes; four of all others."""
@@ -87,8 +89,11 @@ def opened_picture(source: Path | bytes, name: str) -> Generator[Image.Image]:
     Raises `CaptureError` where it can't be read, or says that it is larger than its bytes can be.
     """
     try:
-        size = len(source) if isinstance(source, bytes) else _file_bytes(source)
-        with Image.open(io.BytesIO(source) if isinstance(source, bytes) else source) as picture:
+        with (
+            io.BytesIO(source) if isinstance(source, bytes) else open_file(source, _MAX_BYTES) as stream,
+            Image.open(stream) as picture,
+        ):
+            size = len(source) if isinstance(source, bytes) else os.fstat(stream.fileno()).st_size
             if max(picture.size) > _LONGEST_PX:
                 raise CaptureError(
                     f"{name}: {picture.size[0]}x{picture.size[1]} px; at most {_LONGEST_PX} a side can be used"
@@ -100,13 +105,10 @@ def opened_picture(source: Path | bytes, name: str) -> Generator[Image.Image]:
         raise CaptureError(f"{name}: no such picture") from None
     except CaptureError:
         raise
+    except InputError as error:
+        raise CaptureError(f"{name}: {error.strerror}") from None
     except Exception as error:  # a damaged picture fails in as many ways as there are formats
         raise CaptureError(f"{name}: not a readable picture ({error or type(error).__name__})") from None
-
-
-def _file_bytes(file: Path) -> int:
-    check_regular(file)
-    return file.stat().st_size
 
 
 def _eight_bits(values: np.ndarray) -> UInt8[np.ndarray, "h w"]:
@@ -118,7 +120,7 @@ def _ends(file: Path, kind: str | None) -> bool:
     end = {"JPEG": _JPEG_END, "PNG": _PNG_END}.get(kind or "")
     if end is None:
         return True
-    with file.open("rb") as stream:
+    with open_file(file, _MAX_BYTES) as stream:
         size = stream.seek(0, 2)
         stream.seek(max(size - _TAIL_BYTES, 0))
         if end in stream.read():

@@ -1,5 +1,6 @@
 """Point clouds in PLY files, as text or binary: places, and colours where there are some."""
 
+from io import TextIOWrapper
 from pathlib import Path
 
 import numpy as np
@@ -7,23 +8,25 @@ from jaxtyping import Float64, UInt8
 
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats.ply_header import element_rows, read_ply_header
+from gsrain_engine.untrusted.limits import InputError, open_file
 
 from ..capture import CaptureError
-from .regular_file import check_regular
 
 _LARGEST_HEADER = 1 << 20
+_MAX_TEXT_BYTES = 1 << 32
 _COLORS = ("red", "green", "blue")
 
 
 def read_point_ply(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarray, "p 3"] | None]:
     """Read points that are finite, and their colours (0..255); `CaptureError` that names the file where that fails."""
-    check_regular(file)
     try:
-        with file.open("rb") as stream:
+        with open_file(file) as stream:
             text = b"\nformat ascii" in stream.read(_LARGEST_HEADER).partition(b"end_header")[0]
         columns = _text_columns(file) if text else _binary_columns(file)
-    except (OSError, SceneFormatError, UnicodeDecodeError) as error:
-        raise CaptureError(str(error) if isinstance(error, SceneFormatError) else f"{file}: {error}") from None
+    except (InputError, SceneFormatError) as error:
+        raise CaptureError(str(error)) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise CaptureError(f"{file}: {error}") from None
     if not all(axis in columns for axis in "xyz"):
         raise CaptureError(f"{file}: its vertices have no x, y, z")
     points = np.stack([columns[axis] for axis in "xyz"], axis=1).astype(np.float64)
@@ -36,7 +39,7 @@ def read_point_ply(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.nda
 
 
 def _binary_columns(file: Path) -> dict[str, np.ndarray]:
-    with file.open("rb") as stream:
+    with open_file(file) as stream:
         elements = read_ply_header(file, stream)
         if "vertex" not in elements:
             raise CaptureError(f"{file}: a PLY of points has an element 'vertex'")
@@ -51,7 +54,7 @@ def _text_columns(file: Path) -> dict[str, np.ndarray]:
     """Columns of the element vertex, which must come first; its properties must be single numbers."""
     names: list[str] = []
     count, element = 0, ""
-    with file.open(encoding="utf-8") as stream:
+    with TextIOWrapper(open_file(file, _MAX_TEXT_BYTES), encoding="utf-8") as stream:
         for line in stream:
             match line.split():
                 case ["element", element, number] if element != "vertex" or number.isdigit():

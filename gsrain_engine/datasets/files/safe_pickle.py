@@ -9,22 +9,21 @@ from typing import Any
 
 import numpy as np
 
+from gsrain_engine.untrusted.limits import read_file
 from gsrain_engine.untrusted.printable import printable
 
 from ..capture import CaptureError
 from .pickle_walk import lying_instruction
 
-_MOST_BYTES = 8 << 30
+_MAX_BYTES = 8 << 30
 
 
 def read_pickle(file: Path) -> Any:
     """Read a pickle of builtin containers, numbers, strings and NumPy arrays; `CaptureError` for any other."""
     try:
-        if file.stat().st_size > _MOST_BYTES:
-            raise CaptureError(f"{file}: more than {_MOST_BYTES >> 30} GB, which no table or weights need")
-        content = file.read_bytes()
+        content = read_file(file, _MAX_BYTES)
     except OSError as error:
-        raise CaptureError(f"{file}: can't be read ({error})") from None
+        raise CaptureError(f"{file}: can't be read ({error.strerror})") from None
     lying = lying_instruction(content)
     if lying is not None:
         raise CaptureError(f"{file}: not a readable pickle (damaged or cut off at byte {lying} of {len(content)})")

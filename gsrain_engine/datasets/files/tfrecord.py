@@ -4,6 +4,7 @@ A record is its length (u64), a checksum of these 8 bytes (u32), the content, an
 endian; a checksum is masked: turned by 15 bits, plus a constant. Facts: tensorflow/core/lib/io/record_writer.h.
 """
 
+import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,6 +13,8 @@ from typing import no_type_check
 
 import numpy as np
 from numba import njit
+
+from gsrain_engine.untrusted.limits import open_file
 
 from ..capture import CaptureError
 
@@ -30,7 +33,7 @@ class TFRecord:
     def read(self) -> bytes:
         """Content. Raises `CaptureError` where the file became shorter or can't be read."""
         try:
-            with self.file.open("rb") as stream:
+            with open_file(self.file) as stream:
                 stream.seek(self.start)
                 content = stream.read(self.length)
         except OSError as error:
@@ -42,9 +45,8 @@ class TFRecord:
 
 def records_in(file: Path) -> Iterator[tuple[TFRecord, bytes]]:
     """Yield each record with its content. Raises `CaptureError` at the first that is damaged."""
-    size = file.stat().st_size
-    with file.open("rb") as stream:
-        place = 0
+    with open_file(file) as stream:
+        size, place = os.fstat(stream.fileno()).st_size, 0
         while place < size:
             head = stream.read(_HEAD.size)
             if len(head) < _HEAD.size:

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from gsrain_engine.untrusted.limits import read_file
+
 from ..capture import CaptureError, View
 from ..files.picture_file import picture_size, read_color
 from ..geometry.opencv_camera import opencv_camera_of_matrix
@@ -18,6 +20,7 @@ from ..geometry.rigid_poses import moved_to
 Calibration = dict[str, Float64[np.ndarray, " _"]]
 """Numbers of each line of a file, by its name."""
 
+_MAX_TEXT_BYTES = 1 << 28
 _LARGEST = 1e12
 """Larger numbers are those of damaged files."""
 
@@ -49,10 +52,12 @@ def numbers_of(values: Calibration, name: str, count: int, file: Path) -> Float6
 def read_text(file: Path) -> str:
     """Read a text file; `CaptureError` where it can't be."""
     try:
-        return file.read_text(encoding="utf-8")
+        return read_file(file, _MAX_TEXT_BYTES).decode("utf-8")
     except FileNotFoundError:
         raise CaptureError(f"{file}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise CaptureError(f"{file}: can't be read ({error.strerror})") from None
+    except UnicodeDecodeError as error:
         raise CaptureError(f"{file}: can't be read ({error})") from None
 
 
@@ -82,10 +87,10 @@ class KittiCamera:
 def read_velodyne(file: Path) -> tuple[Float32[np.ndarray, "p 3"], Float32[np.ndarray, " p"]]:
     """Points (m, x forward, y left, z up) and reflectances (0..1) of a .bin; raises `CaptureError`."""
     try:
-        values = np.fromfile(file, np.float32)
+        data = read_file(file)
     except OSError as error:
         raise CaptureError(f"{file}: can't be read ({error.strerror})") from None
-    if values.size % 4 or not values.size:
-        raise CaptureError(f"{file}: {values.size * 4} bytes are not rows of 4 numbers")
-    rows = values.reshape(-1, 4)
+    if len(data) % 16 or not data:
+        raise CaptureError(f"{file}: {len(data)} bytes are not rows of 4 numbers")
+    rows = np.frombuffer(data, np.float32).reshape(-1, 4)
     return np.ascontiguousarray(rows[:, :3]), np.ascontiguousarray(rows[:, 3])

@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from gsrain_engine.untrusted.limits import read_file
+
 from ..capture import Capture, CaptureError, View
 from ..driving_record import DrivingRecord, Scan
 from ..files.picture_file import picture_size, read_color
-from ..files.regular_file import check_regular
 from ..geometry.box_tracks import BoxSample
 from ..geometry.opencv_camera import opencv_camera_of_matrix
 from ..geometry.rigid_poses import inverse, rigid_from_quaternion, transformed
@@ -175,12 +176,11 @@ def read_nuscenes_points(
     file: Path, columns: int = _LIDAR_COLUMNS
 ) -> tuple[Float32[np.ndarray, "p 3"], Float32[np.ndarray, " p"]]:
     """Points (m, in the lidar's frame: x right, y forward, z up) and intensities (0..255) of a .pcd.bin."""
-    check_regular(file)
     try:
-        values = np.fromfile(file, np.float32)
+        data = read_file(file)
     except OSError as error:
         raise CaptureError(f"{file}: can't be read ({error.strerror})") from None
-    if values.size % columns or not values.size:
-        raise CaptureError(f"{file}: {values.size * 4} bytes are not rows of {columns} numbers")
-    rows = values.reshape(-1, columns)
+    if len(data) % (4 * columns) or not data:
+        raise CaptureError(f"{file}: {len(data)} bytes are not rows of {columns} numbers")
+    rows = np.frombuffer(data, np.float32).reshape(-1, columns)
     return np.ascontiguousarray(rows[:, :3]), np.ascontiguousarray(rows[:, 3])

@@ -10,6 +10,8 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from gsrain_engine.untrusted.limits import read_file
+
 from ..capture import CaptureError
 
 Row = TypeVar("Row")
@@ -152,7 +154,7 @@ class NuScenesTables:
     def _rows(self, name: str, kind: type[Row]) -> dict[str, Row]:
         file = self.folder / f"{name}.json"
         try:
-            rows: list[Any] = msgspec.json.decode(file.read_bytes(), type=list[kind])
+            rows: list[Any] = msgspec.json.decode(read_file(file), type=list[kind])
         except FileNotFoundError:
             raise CaptureError(f"{file}: this table of nuScenes is missing") from None
         except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:

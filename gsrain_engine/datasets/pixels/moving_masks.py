@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float64
 from PIL import Image
 
 from gsrain_engine.scene.box_corners import before_camera, box_corners
+from gsrain_engine.untrusted.limits import open_file
 
 from ..capture import Capture, CaptureError, TrackedBox, View
 
@@ -105,7 +106,7 @@ def read_camera_masks(folder: Path | str) -> dict[str, Bool[np.ndarray, "h w"]]:
     masks: dict[str, Bool[np.ndarray, "h w"]] = {}
     for file in files:
         try:
-            with Image.open(file) as picture:
+            with open_file(file) as stream, Image.open(stream) as picture:
                 masks[file.stem] = np.asarray(picture.convert("L")) >= 128
         except OSError as error:
             raise CaptureError(f"{file}: can't be read as a picture: {error}") from None

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
+from gsrain_engine.untrusted.limits import read_file
+
 from ..capture import Capture, CaptureError, Sweep, TrackedBox
 from ..geometry.box_tracks import BoxSample, tracked_boxes
 from ..geometry.rigid_poses import rigid, transformed
@@ -119,7 +121,7 @@ def _lidar_to_camera(file: Path, problems: list[str]) -> Float64[np.ndarray, "4 
 
 def _sweep(file: Path, time_s: float, to_world: Float64[np.ndarray, "4 4"]) -> Sweep:
     try:
-        rows = [line.split(",") for line in file.read_text(encoding="utf-8").splitlines()[1:] if line.strip()]
+        rows = [line.split(",") for line in read_file(file).decode("utf-8").splitlines()[1:] if line.strip()]
         table = np.array(rows, np.float64).reshape(-1, 4)
     except (OSError, ValueError) as error:
         raise CaptureError(f"{file}: no table of X, Y, Z, Reflectivity ({error})") from None
@@ -147,7 +149,7 @@ def _boxes(
 
 def _labelled(file: Path, sequence: RainSequence, time_s: float) -> list[BoxSample]:
     samples: list[BoxSample] = []
-    for row, line in enumerate(file.read_text(encoding="utf-8").splitlines()):
+    for row, line in enumerate(read_file(file).decode("utf-8").splitlines()):
         words = line.split()
         if len(words) < _LABEL_WORDS:
             if words:

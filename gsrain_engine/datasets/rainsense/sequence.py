@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.untrusted.limits import read_file
 
 from ..capture import Capture, CaptureError, Lens, View
 from ..files.picture_file import picture_size
@@ -115,7 +116,7 @@ def _decoded(file: Path, mode: int) -> UInt8[np.ndarray, "..."]:
     """Decode a picture by OpenCV, as RainSense's own tools do; `CaptureError` where it is broken, or cut off."""
     picture_size(file)  # a bomb, or a file of another kind, is refused before
     try:
-        picture = cv2.imdecode(np.fromfile(file, np.uint8), mode)
+        picture = cv2.imdecode(np.frombuffer(read_file(file), np.uint8), mode)
     except cv2.error:
         picture = None
     if picture is None:
@@ -140,6 +141,6 @@ def _times(file: Path, images: Sequence[Path]) -> tuple[float, ...]:
 
 def _text(file: Path) -> str:
     try:
-        return file.read_text(encoding="utf-8")
+        return read_file(file).decode("utf-8")
     except UnicodeDecodeError as error:
         raise ValueError(f"{file}: no text ({error})") from None

@@ -6,6 +6,8 @@ import signal
 import subprocess
 from pathlib import Path
 
+from gsrain_engine.untrusted.limits import open_file
+
 from ..agents.client_error import ClientError
 
 OUTPUT = "output.txt"
@@ -72,9 +74,9 @@ class ClientProcess:
 
     def _last_words(self) -> str:
         try:
-            with self._output.open("rb") as output:
-                output.seek(max(0, self._output.stat().st_size - _TAIL_BYTES))
-                lines = output.read().decode(errors="replace").split("\n")
+            with open_file(self._output) as output:
+                output.seek(max(0, os.fstat(output.fileno()).st_size - _TAIL_BYTES))
+                lines = output.read(_TAIL_BYTES).decode(errors="replace").split("\n")
         except OSError:
             return ""
         return next((line.strip()[-300:] for line in reversed(lines) if line.strip()), "")

@@ -5,22 +5,28 @@ A message has neither length nor version: whoever writes opens, writes and close
 
 import errno
 import os
-import select
 import stat
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+from gsrain_engine.untrusted.limits import (
+    ByteBudget,
+    Deadline,
+    InputError,
+    TooLargeError,
+    open_pipe,
+    read_pipe,
+    write_pipe,
+)
+
 from ..agents.client_error import ClientError
 
 OBSERVATIONS, PLANS = "obs_pipe", "plan_pipe"
-_LOOK_S = 0.2
-"""So often is looked whether the client still lives while nothing else happens."""
 _LONGEST_PAUSE_S = 0.02
 _MOMENTS = 25
 """Pauses in which a client that has let go of a pipe may end: why it did is told then."""
 _ROOM_BYTES = 1 << 20
-_CHUNK_BYTES = 1 << 16
 
 
 class Patience:
@@ -28,16 +34,19 @@ class Patience:
 
     def __init__(self, seconds: float, ended: Callable[[], str | None]) -> None:
         """Begin to wait now; `ended` says how the client ended, in a clause, none while it runs or is not known."""
-        self.seconds, self._ended = seconds, ended
-        self._until = time.monotonic() + seconds
+        self.deadline, self._ended = Deadline(seconds), ended
 
     def check(self, done: str) -> None:
         """Raise ClientError where it makes no sense to wait on until it has `done` something."""
         ended = self._ended()
         if ended is not None:
             raise ClientError(f"the client {ended} before it had {done}")
-        if time.monotonic() > self._until:
-            raise ClientError(f"the client has not {done} within {self.seconds:g} s")
+        if not self.deadline.left_s:
+            raise self.late(done)
+
+    def late(self, done: str) -> ClientError:
+        """Return the error of a client that has not `done` something in time, however much of it has come."""
+        return ClientError(f"the client has not {done} within {self.deadline.seconds:g} s")
 
     def failed(self, done: str, why: str) -> ClientError:
         """Return the error of a client that has left a pipe: that it ended, if that is why, else `why`."""
@@ -76,14 +85,9 @@ class Pipes:
         pipe = self._reached(patience)
         try:
             _widen(pipe)
-            rest = memoryview(message)
-            poll = select.poll()
-            poll.register(pipe, select.POLLOUT)
-            while rest:
-                if poll.poll(1000 * _LOOK_S):
-                    rest = rest[_written(pipe, rest) :]
-                else:
-                    patience.check("read the observation")
+            write_pipe(pipe, message, patience.deadline, lambda: patience.check("read the observation"))
+        except TimeoutError:
+            raise patience.late("read the observation") from None
         except BrokenPipeError:
             raise patience.failed(
                 "read the observation", "the client closed obs_pipe before it had read the observation"
@@ -96,50 +100,35 @@ class Pipes:
 
         Raises ClientError where none comes, where it is longer than allowed, or where the client ends.
         """
-        pipe = os.open(self._plans, os.O_RDONLY | os.O_NONBLOCK)
         try:
-            poll = select.poll()
-            poll.register(pipe, select.POLLIN)
-            reply = bytearray()
-            while True:
-                if not poll.poll(1000 * _LOOK_S):
-                    # What it wrote before it ended counts: look once more, after its end.
-                    try:
-                        patience.check("answered")
-                    except ClientError:
-                        if not poll.poll(0):
-                            raise
-                    continue
-                read = os.read(pipe, _CHUNK_BYTES)
-                reply += read
-                if len(reply) > most_bytes:
-                    raise ClientError(f"the client answers more than {most_bytes} bytes")
-                if not read and not reply:
-                    raise patience.failed("answered", "the client opened plan_pipe and closed it without an answer")
-                if not read:
-                    return bytes(reply)
+            pipe = open_pipe(self._plans, os.O_RDONLY)
+        except OSError as problem:
+            raise ClientError(f"the pipe can't be opened: {problem}") from None
+        try:
+            budget = ByteBudget(most_bytes, self._plans)
+            reply = read_pipe(pipe, budget, patience.deadline, lambda: patience.check("answered"))
+        except TimeoutError:
+            raise patience.late("answered") from None
+        except TooLargeError:
+            raise ClientError(f"the client answers more than {most_bytes} bytes") from None
         finally:
             os.close(pipe)
+        if not reply:
+            raise patience.failed("answered", "the client opened plan_pipe and closed it without an answer")
+        return reply
 
     def _reached(self, patience: Patience) -> int:
         """Open for writing once there is somebody who reads; there is no way to be told, so it is tried."""
         pause = 0.0005
         while True:
             try:
-                return os.open(self._observations, os.O_WRONLY | os.O_NONBLOCK)
+                return open_pipe(self._observations, os.O_WRONLY)
             except OSError as problem:
-                if problem.errno != errno.ENXIO:
+                if isinstance(problem, InputError) or problem.errno != errno.ENXIO:
                     raise ClientError(f"the pipe can't be opened: {problem}") from None
             patience.check("opened obs_pipe")
             time.sleep(pause)
             pause = min(2 * pause, _LONGEST_PAUSE_S)
-
-
-def _written(pipe: int, rest: memoryview) -> int:
-    try:
-        return os.write(pipe, rest[:_ROOM_BYTES])
-    except BlockingIOError:
-        return 0
 
 
 def _widen(pipe: int) -> None:

@@ -7,6 +7,7 @@ import msgspec
 
 from gsrain_engine.scene.atomic_files import whole_file
 from gsrain_engine.untrusted.explained_errors import converted
+from gsrain_engine.untrusted.limits import check_file
 from gsrain_engine.untrusted.printable import printable
 
 from .json_lines import check_users
@@ -61,8 +62,7 @@ def read_rollout_parquet(path: Path) -> Rollout:
 
 def _header_and_rows(path: Path) -> tuple[bytes, list[dict[str, Any]]]:
     arrow, parquet = _pyarrow()
-    with path.open("rb"):  # what keeps it from being opened is no damage
-        pass
+    check_file(path)  # what keeps it from being opened is no damage
     try:
         with parquet.ParquetFile(path) as file:
             _check_size(file.metadata)

@@ -8,10 +8,13 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 
+from gsrain_engine.untrusted.limits import receive_message
+
 from .engine import Work
 from .job import Job
 from .outcome import Outcome
 
+_MAX_OUTCOME_BYTES = 1 << 28
 _THREADS = "NUMBA_NUM_THREADS"
 
 
@@ -58,8 +61,10 @@ class PoolWorker:
     def outcome(self) -> Outcome | None:
         """Return what came of its job; None when it died over it."""
         try:
-            return self.messages.recv()
-        except (EOFError, OSError):
+            return receive_message(self.messages, _MAX_OUTCOME_BYTES)
+        except (EOFError, OSError) as error:
+            if not isinstance(error, EOFError | ConnectionError):
+                self._process.kill()  # it has more to say than an outcome has, and would wait to be heard
             self._process.join()
             return None
 

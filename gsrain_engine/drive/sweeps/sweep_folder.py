@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.untrusted.limits import read_file
 
 from ..rollouts.json_lines import write_rollout
 from .job import Job
@@ -78,7 +79,7 @@ class SweepFolder:
 
     def _row(self, id: str) -> Row | None:
         try:
-            rows = rows_in((self.rows / f"{id}{_SUFFIX}").read_bytes())
+            rows = rows_in(read_file(self.rows / f"{id}{_SUFFIX}"))
         except (FileNotFoundError, ValueError):
             return None
         row = rows[0] if len(rows) == 1 else {}

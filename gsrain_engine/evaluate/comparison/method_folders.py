@@ -22,6 +22,7 @@ from gsrain_engine.appearance.transferred_folder import (
 )
 from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.untrusted.limits import read_file
 
 from .settings import CLEAR, ComparedMethod, Comparison
 from .source import ComparedSource
@@ -148,6 +149,6 @@ def _stands(folder: Path, record: TransferRecord) -> bool:
 
 def _read_seconds(folder: Path) -> float | None:
     try:
-        return float(json.loads((folder / _SECONDS).read_text(encoding="utf-8"))["seconds"])
+        return float(json.loads(read_file(folder / _SECONDS))["seconds"])
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.untrusted.limits import read_file
 
 from .frames import JudgedFrame
 from .pictures import Trial
@@ -67,7 +68,7 @@ class Finished:
         if not self._file.is_file():
             return 0
         keys = {self._key(name, frame) for name in self._bases for frame in frames}
-        lines = self._file.read_bytes().splitlines(keepends=True)
+        lines = read_file(self._file).splitlines(keepends=True)
         kept: list[bytes] = []
         for line in lines:
             try:

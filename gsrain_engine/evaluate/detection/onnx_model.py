@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
+from gsrain_engine.untrusted.limits import check_file, open_file
 from gsrain_engine.untrusted.printable import printable
 
 THREADS = 2
@@ -72,8 +73,9 @@ def open_onnx(path: Path) -> OnnxModel:
         import onnxruntime
     except ModuleNotFoundError:
         raise ModuleNotFoundError("detectors need onnxruntime: pip install 'gsrain[evaluate]'") from None
-    if not path.is_file():
+    if not path.exists():
         raise ValueError(f"{path}: no such file")
+    check_file(path)
     if path.suffix in (".pt", ".pth"):
         raise ValueError(f"{path}: weights of PyTorch; export them first (yolo export model={path.name} format=onnx)")
     try:
@@ -122,7 +124,7 @@ def _shape(axes: Any) -> tuple[int | None, ...]:
 
 
 def _cause(path: Path, error: Exception) -> str:
-    with path.open("rb") as file:
+    with open_file(path) as file:
         pointer = file.read(len(_POINTER)) == _POINTER
     return "it only points to one (git lfs pull fetches it)" if pointer else _first_line(error)
 

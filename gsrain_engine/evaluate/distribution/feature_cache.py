@@ -9,6 +9,7 @@ import platformdirs
 from jaxtyping import Float32, UInt8
 
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.untrusted.limits import open_file
 
 from .extractor import Extractor
 
@@ -51,7 +52,8 @@ class FeatureCache:
 def _read(file: Path, features: int) -> Float32[np.ndarray, " d"] | None:
     """Read kept features; None where there are none, or the file is damaged."""
     try:
-        kept = np.load(file, allow_pickle=False)
+        with open_file(file) as stream:
+            kept = np.load(stream, allow_pickle=False)
     except (OSError, ValueError, EOFError):
         return None
     return kept if kept.shape == (features,) and kept.dtype == np.float32 else None

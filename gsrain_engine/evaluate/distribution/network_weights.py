@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import platformdirs
 
+from gsrain_engine.untrusted.limits import open_file
+
 from ..weight_file import SUFFIXES, read_arrays
 
 INCEPTION_PLACE = "GSRAIN_INCEPTION_WEIGHTS"
@@ -53,10 +55,15 @@ def is_published_inception(digest: str) -> bool:
 
 def is_torchscript(file: Path) -> bool:
     """Whether a file is TorchScript, told by the names in its archive: nothing in it is run."""
-    if not zipfile.is_zipfile(file):
+    try:
+        stream = open_file(file)
+    except OSError:
         return False
-    with zipfile.ZipFile(file) as archive:
-        return any("/code/" in name or name.endswith("constants.pkl") for name in archive.namelist())
+    with stream:
+        if not zipfile.is_zipfile(stream):
+            return False
+        with zipfile.ZipFile(stream) as archive:
+            return any("/code/" in name or name.endswith("constants.pkl") for name in archive.namelist())
 
 
 def inception_weights(file: Path) -> dict[str, np.ndarray]:

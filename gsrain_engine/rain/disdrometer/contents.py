@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError
-from gsrain_engine.untrusted.plain_values import read_at_most
+from gsrain_engine.untrusted.limits import TooLargeError, read_file
 
 LARGEST_FILE = 256 * 2**20
 """Bytes, after inflation: about two months of a Parsivel's minutes as text."""
@@ -50,7 +50,9 @@ def read_contents(path: Path) -> Contents:
     damaged. A gzip stream that is only cut off gives what came before the cut.
     """
     try:
-        data = read_at_most(path, LARGEST_FILE)
+        data = read_file(path, LARGEST_FILE)
+    except TooLargeError:
+        raise _too_large(path) from None
     except OSError as error:
         raise DisdrometerFileError(path, error.strerror or str(error)) from None
     cut_off = False
@@ -59,8 +61,12 @@ def read_contents(path: Path) -> Contents:
     if not data:
         raise DisdrometerFileError(path, "the file is empty")
     if len(data) > LARGEST_FILE:
-        raise DisdrometerFileError(path, f"the file holds more than {LARGEST_FILE // 2**20} MiB: split it by days")
+        raise _too_large(path)
     return Contents(path, data, cut_off)
+
+
+def _too_large(path: Path) -> DisdrometerFileError:
+    return DisdrometerFileError(path, f"the file holds more than {LARGEST_FILE // 2**20} MiB: split it by days")
 
 
 def _inflate(path: Path, data: bytes) -> tuple[bytes, bool]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from gsrain_engine.untrusted.limits import open_file
 from gsrain_engine.untrusted.printable import printable
 
 from ..calibration import Provenance, SourceFile
@@ -109,5 +110,5 @@ def _provenance(files: Sequence[MeasuredFile], fitted: FittedCalibration, option
 
 
 def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
+    with open_file(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

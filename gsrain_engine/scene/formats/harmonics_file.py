@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from gsrain_engine.untrusted.array_header import read_array_header
+from gsrain_engine.untrusted.limits import open_file
 
 from ..errors import SceneFormatError
 from .checks import check_finite
@@ -19,7 +20,7 @@ def read_harmonics(path: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "n
     Raises:
         SceneFormatError: When the file is damaged, holds something else or another shape.
     """
-    with path.open("rb") as file:
+    with open_file(path) as file:
         try:
             found, is_fortran, dtype = read_array_header(file)
         except ValueError as error:

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Shaped
 
+from gsrain_engine.untrusted.limits import read_file
+
 from ..errors import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians
 from .checks import checked_gaussians
@@ -61,7 +63,7 @@ def read_ksplat(path: Path) -> Gaussians:
 
     Layout: `SplatBuffer.js` of version 0.4.7. Raises `SceneFormatError` where the file is damaged or cut off.
     """
-    data = path.read_bytes()
+    data = read_file(path)
     header = _read_header(path, data)
     check_room(path, header.count, COEFFICIENTS_OF_DEGREE[_LARGEST_DEGREE])
     start = _HEADER_BYTES + _SECTION_BYTES * header.sections

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
+from gsrain_engine.untrusted.limits import open_file
+
 from ..errors import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from .checks import check_finite, checked_gaussians
@@ -50,7 +52,7 @@ def read_ply(path: Path) -> Gaussians:
     Raises:
         SceneFormatError: When the file is damaged or is not a file of Gaussians.
     """
-    with path.open("rb") as file:
+    with open_file(path) as file:
         elements = read_ply_header(path, file)
         if is_compressed(elements):
             return read_compressed(path, file, elements)

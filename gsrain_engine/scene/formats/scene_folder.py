@@ -8,6 +8,8 @@ from pathlib import Path
 
 import msgspec
 
+from gsrain_engine.untrusted.limits import read_file
+
 from ..atomic_files import sync, telling_of, whole_file, whole_folder
 from ..errors import SceneFormatError
 from ..file_lock import holding, locked
@@ -265,9 +267,7 @@ def _read_record(folder: Path) -> SceneRecord:
 def _checked_version(folder: Path) -> bytes:
     """Bytes of `scene.json`, once its version is known to be readable."""
     path = folder / SCENE_FILE
-    if path.stat().st_size > _LARGEST_SCENE_FILE:
-        raise SceneFormatError(path, f"has {path.stat().st_size} bytes, at most {_LARGEST_SCENE_FILE} would be right")
-    data = path.read_bytes()
+    data = read_file(path, _LARGEST_SCENE_FILE)
     try:
         version = msgspec.json.decode(data, type=_Version).version
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:

@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from gsrain_engine.untrusted.limits import TooLargeError, read_file
+
 from ..errors import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from .bounded import check_expansion
@@ -45,7 +47,7 @@ def read_sog(path: Path) -> Gaussians:
     if path.is_dir() or path.name.lower() == _META:
         folder = path if path.is_dir() else path.parent
         return _decode(path, lambda name, most: _folder_member(path, folder / name, most), _folder_bytes(folder))
-    data = path.read_bytes()
+    data = read_file(path)
     try:
         archive = zipfile.ZipFile(io.BytesIO(data))
     except _ZIP_ERRORS as error:
@@ -61,9 +63,10 @@ def _folder_bytes(folder: Path) -> int:
 def _folder_member(path: Path, file: Path, most: int) -> bytes:
     if not file.is_file():
         raise SceneFormatError(path, f"there is no file {file.name}")
-    if file.stat().st_size > most:
-        raise SceneFormatError(path, f"{file.name} has {file.stat().st_size} bytes, at most {most} would be right")
-    return file.read_bytes()
+    try:
+        return read_file(file, most)
+    except TooLargeError:
+        raise SceneFormatError(path, f"{file.name} has more than {most} bytes") from None
 
 
 def _zip_member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:

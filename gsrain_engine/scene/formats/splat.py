@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from gsrain_engine.untrusted.limits import read_file
+
 from ..errors import SceneFormatError
 from ..gaussians import SH_C0, Gaussians, sh_from_color
 from .checks import checked_gaussians
@@ -26,7 +28,7 @@ def read_splat(path: Path) -> Gaussians:
             path, f"a .splat has {_ROW.itemsize} bytes a Gaussian; {size} bytes are no whole number of them above 0"
         )
     check_room(path, size // _ROW.itemsize, 1)
-    rows = np.frombuffer(path.read_bytes(), _ROW)
+    rows = np.frombuffer(read_file(path, size), _ROW)
     quaternions = rows["quaternion"].astype(np.float32) - np.float32(128)
     rgba = rows["rgba"] / np.float32(255)
     return checked_gaussians(

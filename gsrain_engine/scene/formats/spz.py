@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from gsrain_engine.untrusted.limits import read_file
+
 from ..errors import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from .bounded import check_expansion, gunzip, gunzip_start, unzstd
@@ -79,7 +81,7 @@ def read_spz(path: Path) -> Gaussians:
 
     Raises `SceneFormatError` where the file is damaged or has a version or SH degree above 4 or 3.
     """
-    data = path.read_bytes()
+    data = read_file(path)
     gzipped = data.startswith(_GZIP_MAGIC)
     header = _read_header(path, gunzip_start(path, data, _HEADER.size) if gzipped else data)
     if gzipped and header.version >= 4:

@@ -9,6 +9,7 @@ from gsrain_engine.drive.metrics.summary import DriveMetrics, measured
 from gsrain_engine.drive.rollouts.files import read_any_rollout
 from gsrain_engine.drive.rollouts.rollout import Rollout
 from gsrain_engine.drive.rollouts.run_setting import run_setting
+from gsrain_engine.untrusted.limits import read_file
 
 from .curves import Curves, curves_of
 
@@ -57,7 +58,7 @@ def open_rollout(path: Path, *, is_own: bool = True) -> OpenedRollout:
     rollout = read_any_rollout(path)
     beside = path.with_suffix(METRICS_SUFFIX)
     try:
-        metrics = measured(rollout) if is_own else msgspec.json.decode(beside.read_bytes(), type=DriveMetrics)
+        metrics = measured(rollout) if is_own else msgspec.json.decode(read_file(beside), type=DriveMetrics)
         curves = curves_of(rollout)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None

@@ -17,6 +17,7 @@ from gsrain_engine.scene.file_lock import FileLock
 from gsrain_engine.scene.formats.known_files import KnownFiles
 from gsrain_engine.scene.formats.scene_folder import SCENE_FILE, write_scene_folder
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.untrusted.limits import read_file
 
 from ..preferences.places import state_folder
 from .disk_stamp import DiskStamp
@@ -108,7 +109,7 @@ class Autosave:
         if place not in self._locks and not _is_free(place):
             return None
         try:
-            about = msgspec.json.decode((place / _ABOUT).read_bytes(), type=About)
+            about = msgspec.json.decode(read_file(place / _ABOUT), type=About)
             return Autosaved(place, about, (place / _SCENE / SCENE_FILE).stat().st_mtime)
         except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return None

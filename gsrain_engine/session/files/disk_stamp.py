@@ -6,6 +6,7 @@ from pathlib import Path
 import msgspec
 
 from gsrain_engine.scene.formats.scene_folder import SCENE_FILE
+from gsrain_engine.untrusted.limits import read_file
 
 
 class DiskStamp(msgspec.Struct, frozen=True, kw_only=True):
@@ -20,7 +21,7 @@ def stamp_of(folder: Path) -> DiskStamp | None:
     """State of a scene folder now; None where there is no scene."""
     file = folder / SCENE_FILE
     try:
-        status, data = file.stat(), file.read_bytes()
+        status, data = file.stat(), read_file(file)
     except OSError:
         return None
     digest = hashlib.blake2b(data, digest_size=16).hexdigest()

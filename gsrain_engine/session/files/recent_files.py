@@ -7,6 +7,8 @@ import msgspec
 
 from gsrain_engine.scene.atomic_files import whole_file
 from gsrain_engine.scene.file_lock import locked
+from gsrain_engine.untrusted.limits import read_file
+from gsrain_engine.untrusted.plain_values import MOST_BYTES
 
 from ..preferences.places import state_folder
 
@@ -22,7 +24,7 @@ class _Recent(msgspec.Struct):
 def recent_files() -> list[Path]:
     """The scenes that were used last, the latest first."""
     try:
-        return [Path(each) for each in msgspec.json.decode(_file().read_bytes(), type=_Recent).paths[:MOST]]
+        return [Path(each) for each in msgspec.json.decode(read_file(_file(), MOST_BYTES), type=_Recent).paths[:MOST]]
     except FileNotFoundError:
         return []
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:

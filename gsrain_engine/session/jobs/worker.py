@@ -18,6 +18,7 @@ import psutil
 
 from gsrain_engine.scene.errors import sentence_of
 from gsrain_engine.scene.progress import Progress
+from gsrain_engine.untrusted.limits import receive_message
 
 from .shared_picture import SharedPicture
 from .silence import Silence
@@ -26,6 +27,7 @@ JobState = Literal["running", "finished", "failed", "cancelled"]
 Work = Callable[..., Iterator[Progress]]
 """A function at the top level of a module: it is found again by its name in the new process."""
 
+_MAX_MESSAGE_BYTES = 1 << 24
 _NICENESS = 10
 """On POSIX systems: the window's frames come first, and a worker has all that they leave."""
 
@@ -70,7 +72,7 @@ class Job:
             return
         try:
             while self.state == "running" and self._messages.poll():
-                self._take(self._messages.recv())
+                self._take(receive_message(self._messages, _MAX_MESSAGE_BYTES))
         except (EOFError, OSError):
             self._process.join(timeout=1.0)
             if self.state == "running":

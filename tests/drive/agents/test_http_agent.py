@@ -4,7 +4,9 @@ import base64
 import contextlib
 import io
 import json
+import socket
 import threading
+import time
 import zipfile
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
@@ -17,6 +19,7 @@ from gsrain_engine.backends import open_renderer
 from gsrain_engine.drive.agents.agent import Agent
 from gsrain_engine.drive.agents.client_error import ClientError
 from gsrain_engine.drive.agents.http_agent import HttpAgent
+from gsrain_engine.drive.agents.http_calls import HttpCalls
 from gsrain_engine.drive.agents.neuroncap_message import neuroncap_message
 from gsrain_engine.drive.agents.observation import CameraView, Observation, Rig
 from gsrain_engine.drive.agents.registry import AgentOptions, open_agent
@@ -225,7 +228,179 @@ def test_a_silent_node_is_not_waited_for_for_ever(node):
     release.set()
 
 
-@pytest.mark.parametrize("url", ["localhost:9000", "ftp://host", "http://", "http://host:99999", "http://host?x=1"])
+class Raw:
+    """A server that takes in one request and then does with the connection what it likes, until the test is over."""
+
+    def __init__(self, answer):
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.url = f"http://127.0.0.1:{self._server.getsockname()[1]}"
+        self.over = threading.Event()
+        self._thread = threading.Thread(target=self._serve, args=(answer,), daemon=True)
+        self._thread.start()
+
+    def _serve(self, answer):
+        with contextlib.suppress(OSError):
+            connection, _ = self._server.accept()
+            with connection:
+                connection.recv(1 << 16)
+                answer(connection, self.over)
+
+    def close(self):
+        self.over.set()
+        self._server.close()
+        self._thread.join(5)
+
+
+@pytest.fixture
+def raw():
+    started = []
+
+    def start(answer):
+        started.append(Raw(answer))
+        return HttpCalls(started[-1].url)
+
+    yield start
+    for each in started:
+        each.close()
+
+
+def sent(data):
+    return lambda connection, over: connection.sendall(data)
+
+
+def dripped(start, piece):
+    """Send one piece every 20 ms, whose bytes each come within any time that a single read may take."""
+
+    def answer(connection, over):
+        connection.sendall(start)
+        while not over.wait(0.02):
+            connection.sendall(piece)
+
+    return answer
+
+
+def flooded(start, piece):
+    """Send pieces without a pause, and without an end."""
+
+    def answer(connection, over):
+        connection.sendall(start)
+        while not over.is_set():
+            connection.sendall(piece * 1000)
+
+    return answer
+
+
+HEAD, CHUNKED = b"HTTP/1.1 200 OK\r\n", b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n"
+INFORMATION = b"HTTP/1.1 100 Continue\r\n\r\n"
+
+
+@pytest.mark.parametrize(
+    ("start", "piece"),
+    [
+        (b"", b""),
+        (b"", b"H"),
+        (b"HTTP/1.1 200 ", b"O"),
+        (HEAD + b"X-A: ", b"a"),
+        (HEAD, b"X-A: a\r\n"),
+        (b"", INFORMATION),
+        (HEAD + b"Content-Length: 1000\r\n\r\n", b"a"),
+        (HEAD + b"\r\n", b"a"),
+        (CHUNKED, b"1"),
+        (CHUNKED, b"1\r\na\r\n"),
+        (CHUNKED + b"1;", b"a"),
+        (CHUNKED + b"0\r\n", b"X: a\r\n"),
+    ],
+    ids=(
+        "nothing", "status", "reason", "header", "headers", "100 continue", "body", "body without length", "chunk size",
+        "chunks", "chunk extension", "trailers",
+    ),
+)  # fmt: skip
+def test_a_drip_is_not_waited_for(raw, start, piece):
+    calls = raw(dripped(start, piece))
+    started = time.monotonic()
+    with pytest.raises(ClientError, match=r"/infer has not answered within 0\.3 s"):
+        calls.post("/infer", b"{}", 0.3)
+    assert time.monotonic() - started < 5
+
+
+@pytest.mark.parametrize(
+    ("start", "piece"),
+    [
+        (HEAD + b"X-A: ", b"a"),
+        (HEAD, b"X-A: a\r\n"),
+        (b"", INFORMATION),
+        (HEAD + b"\r\n", b"a"),
+        (CHUNKED, b"a\r\n0123456789\r\n"),
+        (CHUNKED + b"1;", b"a"),
+        (CHUNKED + b"0\r\n", b"X: a\r\n"),
+    ],
+    ids=("header", "headers", "100 continue", "body", "chunks", "chunk extension", "trailers"),
+)
+def test_a_flood_ends_at_the_budget(raw, start, piece, monkeypatch):
+    monkeypatch.setattr("gsrain_engine.drive.agents.http_calls._MAX_BYTES", 1 << 20)
+    with pytest.raises(ClientError, match=r"answers (more than 1 MiB|what is no whole HTTP: .*too long)"):
+        raw(flooded(start, piece)).post("/infer", b"{}", 30)
+
+
+@pytest.mark.parametrize(
+    ("answer", "why"),
+    [
+        (b"", "no whole HTTP: it hangs up before it has answered"),
+        (b"\x1b[31m\r\n\r\n", "no whole HTTP"),
+        (HEAD + b"Content-Length: 100\r\n\r\nabc", r"no whole HTTP: .*received 3 bytes, expected 100"),
+        (HEAD + b"Content-Length: -1\r\n\r\nabc", "no whole HTTP"),
+        (HEAD + b"Content-Length: 100000000000000000000\r\n\r\nabc", "no whole HTTP|more than 8 MiB"),
+        (HEAD + b"Content-Length: 9000000000\r\n\r\nabc", "answers more than 8 MiB"),
+        (HEAD + b"Content-Length: 3\r\nContent-Length: 4\r\n\r\nabcd", "no whole HTTP: .*conflicting"),
+        (HEAD + b"Content-Length: three\r\n\r\nabc", "no whole HTTP"),
+        (CHUNKED + b"3\r\nab", "no whole HTTP: .*incomplete chunked"),
+        (CHUNKED + b"-3\r\nabc\r\n0\r\n\r\n", "no whole HTTP"),
+        (HEAD + b"Transfer-Encoding: gzip\r\n\r\nabc", "no whole HTTP"),
+        (b"HTTP/1.1 101 Switching Protocols\r\n\r\n", "no whole HTTP"),
+        (
+            b"HTTP/1.1 500 \x1b]0;x\xe2\x80\xae\r\nContent-Length: 5\r\n\r\n\x1b[31m",
+            r"answers 500 \\x1b\]0;x[^\x1b]*: \\x1b\[31m$",
+        ),
+        (b"HTTP/1.1 503 Busy\r\nContent-Length: 5\r\n\r\n\x1b[31m", r"answers 503 Busy: \\x1b\[31m$"),
+    ],
+)
+def test_what_is_no_whole_answer_is_an_error(raw, answer, why):
+    with pytest.raises(ClientError, match=why):
+        raw(sent(answer)).post("/infer", b"{}", 20)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        HEAD + b"Content-Length: 2\r\n\r\n{}",
+        HEAD + b"\r\n{}",
+        b"HTTP/1.0 200 OK\r\n\r\n{}",
+        INFORMATION * 3 + HEAD + b"content-length: 2\r\n\r\n{}and more",
+        CHUNKED + b"1;note=a\r\n{\r\n1\r\n}\r\n0\r\nX-Trailer: a\r\n\r\n",
+    ],
+)
+def test_whole_answers_of_every_form_are_read(raw, answer):
+    assert raw(sent(answer)).post("/infer", b"{}", 20) == b"{}"
+
+
+def test_a_server_that_does_not_read_is_not_waited_for(raw):
+    calls = raw(lambda connection, over: over.wait(20))
+    with pytest.raises(ClientError, match=r"/infer has not answered within 0\.3 s"):
+        calls.post("/infer", bytes(1 << 25), 0.3)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "localhost:9000",
+        "ftp://host",
+        "http://",
+        "http://host:99999",
+        "http://host?x=1",
+        "http://ho st",
+        "http://host/\x1b[31m",
+    ],
+)
 def test_what_is_no_address(url):
     with pytest.raises(ValueError, match="url"):
         HttpAgent(url)

@@ -1,8 +1,10 @@
 """The two named pipes and the watch over them."""
 
+import contextlib
 import os
 import stat
 import threading
+import time
 
 import pytest
 
@@ -127,3 +129,50 @@ def test_writer_that_does_not_stop(tmp_path):
     other_end(client)
     with pytest.raises(ClientError, match="answers more than 10000 bytes"):
         pipes.receive(patience(), 10_000)
+
+
+@pytest.fixture
+def drip():
+    """Gives one byte every 20 ms to or from a pipe, until the test is over."""
+    over, threads = threading.Event(), []
+
+    def start(open_end, move):
+        def work():
+            with contextlib.suppress(OSError), open_end() as end:
+                while not over.wait(0.02):
+                    move(end)
+
+        threads.append(other_end(work))
+
+    yield start
+    over.set()
+    for thread in threads:
+        thread.join(5)
+
+
+def test_a_byte_now_and_then_is_no_answer(tmp_path, drip):
+    pipes = Pipes(tmp_path)
+    drip(lambda: (tmp_path / "plan_pipe").open("wb", buffering=0), lambda pipe: pipe.write(b"a"))
+    started = time.monotonic()
+    with pytest.raises(ClientError, match=r"has not answered within 0\.4 s"):
+        pipes.receive(patience(0.4), 1 << 20)
+    assert time.monotonic() - started < 5
+
+
+def test_a_reader_that_takes_a_byte_now_and_then_has_not_read(tmp_path, drip):
+    pipes = Pipes(tmp_path)
+    drip(lambda: (tmp_path / "obs_pipe").open("rb", buffering=0), lambda pipe: pipe.read(4096))
+    with pytest.raises(ClientError, match=r"has not read the observation within 0\.4 s"):
+        pipes.send(memoryview(MESSAGE * 4), patience(0.4))
+
+
+def test_what_takes_the_place_of_a_pipe_later_is_not_used(tmp_path):
+    pipes = Pipes(tmp_path)
+    for name in ("obs_pipe", "plan_pipe"):
+        (tmp_path / name).unlink()
+        (tmp_path / name).write_bytes(b"my notes")
+    with pytest.raises(ClientError, match="obs_pipe: not a pipe"):
+        pipes.send(b"observation", patience())
+    with pytest.raises(ClientError, match="plan_pipe: not a pipe"):
+        pipes.receive(patience(), 100)
+    assert (tmp_path / "obs_pipe").read_bytes() == b"my notes"

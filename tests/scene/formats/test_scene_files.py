@@ -1,6 +1,5 @@
 """Any file or folder in, any out: names choose the format, and a failure leaves what was there."""
 
-import io
 import os
 from pathlib import Path
 from typing import Any
@@ -120,15 +119,14 @@ def test_what_the_system_refuses_to_open_is_one_line(
     write_scene(single(sample_gaussians(3)), tmp_path / "saved")
     if file != "saved":
         (tmp_path / file).write_bytes(bytes(64))
-    real = io.open
+    real = os.open
 
     def locked(path: object, *arguments: Any, **options: Any) -> Any:
         if Path(str(path)).is_relative_to(tmp_path):  # permissions do not stop root, under whom tests may run
             raise PermissionError(13, "Permission denied", str(path))
         return real(path, *arguments, **options)  # pyright: ignore[reportArgumentType]
 
-    monkeypatch.setattr(io, "open", locked)
-    monkeypatch.setattr("builtins.open", locked)
+    monkeypatch.setattr(os, "open", locked)
     with pytest.raises(SceneFormatError, match="can't be read: Permission denied$") as error:
         read_scene(tmp_path / file)
     assert str(error.value).startswith(str(tmp_path / file))

@@ -13,6 +13,7 @@ from gsrain_engine.appearance.normals.from_depth import normals_from_depth
 from gsrain_engine.appearance.normals.grey_guide import grey_guide
 from gsrain_engine.datasets.capture import View
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.untrusted.limits import open_file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +64,8 @@ class Guides:
 def _read(file: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "_ _"] | None:
     """Return a kept guide; None where there is none that is whole."""
     try:
-        steps = np.load(file, allow_pickle=False)
+        with open_file(file) as stream:
+            steps = np.load(stream, allow_pickle=False)
     except (OSError, ValueError, EOFError):
         return None
     if steps.shape != shape or steps.dtype != np.int8:

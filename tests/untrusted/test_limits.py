@@ -1,0 +1,345 @@
+"""One deadline and one byte budget: real files, pipes and devices; and no line of the program goes around them."""
+
+import ast
+import multiprocessing
+import os
+import re
+import socket
+import stat
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import gsrain_engine.untrusted.limits as limits
+from gsrain_engine.untrusted.limits import (
+    ByteBudget,
+    Deadline,
+    InputError,
+    TooLargeError,
+    Wire,
+    check_file,
+    open_file,
+    open_pipe,
+    read_file,
+    read_input,
+    read_pipe,
+    receive_message,
+    write_pipe,
+)
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def fifo(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    return tmp_path / "pipe"
+
+
+@pytest.fixture
+def drip():
+    """Starts threads that give one byte every 20 ms, until the test is over; nobody sleeps."""
+    over, threads = threading.Event(), []
+
+    def start(give):
+        def work():
+            while not over.wait(0.02):
+                try:
+                    give()
+                except OSError:
+                    return
+
+        threads.append(threading.Thread(target=work, daemon=True))
+        threads[-1].start()
+
+    yield start
+    over.set()
+    for thread in threads:
+        thread.join(5)
+
+
+def no_later_than(seconds):
+    return pytest.raises(TimeoutError, match=rf"not over within {seconds:g} s")
+
+
+def test_a_deadline_runs_on_the_monotonic_clock(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(time, "time", lambda: 0.0)
+    deadline = Deadline(5)
+    now[0] = 104.5
+    assert deadline.left_s == deadline.check() == 0.5
+    now[0] = 105.0
+    assert deadline.left_s == 0
+    with no_later_than(5):
+        deadline.check()
+
+
+def test_a_budget_allows_its_last_byte_and_none_more():
+    budget = ByteBudget(10, "answer")
+    budget.spend(4)
+    budget.spend(6)
+    with pytest.raises(TooLargeError, match=r"^answer: larger than 10 bytes, which no such file needs$"):
+        budget.spend(1)
+
+
+def test_files_are_read_whole_up_to_their_budget(tmp_path):
+    file = tmp_path / "a"
+    for size in (0, 1, 1000):
+        file.write_bytes(b"x" * size)
+        assert read_file(file, 1000) == read_input(file, 1000) == b"x" * size
+    file.write_bytes(b"x" * 1001)
+    with pytest.raises(TooLargeError, match="a: larger than 1000 bytes"):
+        read_file(file, 1000)
+    with pytest.raises(TooLargeError, match="a: larger than 1000 bytes"):
+        open_file(file, 1000)
+    with pytest.raises(FileNotFoundError):
+        read_input(tmp_path / "b", 1000)
+
+
+def test_files_that_do_not_know_their_size_have_a_budget_too():
+    file = Path("/proc/self/status")
+    if not file.exists():
+        pytest.skip("no such files on this system")
+    assert file.stat().st_size == 0 and len(read_file(file, 1 << 20)) > 500
+    with pytest.raises(TooLargeError, match="larger than 100 bytes"):
+        read_file(file, 100)
+
+
+def test_a_hole_larger_than_the_memory_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(limits.psutil, "virtual_memory", lambda: type("Memory", (), {"available": 10**9}))
+    with (tmp_path / "a").open("wb") as file:
+        file.truncate(2 * 10**9)
+    with pytest.raises(TooLargeError, match=r"a: has 2\.0 GB, and 1\.0 GB of memory are free"):
+        read_file(tmp_path / "a")
+
+
+def test_only_files_are_opened(tmp_path, fifo):
+    server = socket.socket(socket.AF_UNIX)
+    os.chdir(tmp_path)  # names of sockets are short
+    server.bind("socket")
+    (tmp_path / "link").symlink_to("/dev/zero")
+    kinds = {"pipe": "pipe", "socket": "socket", "link": "device", ".": "folder"}
+    for name, kind in kinds.items():
+        for read in (open_file, check_file, read_file):
+            with pytest.raises(InputError, match=rf": not a file but a {kind}$"):
+                read(tmp_path / name)
+    for name in ("socket", "link", "."):
+        with pytest.raises(InputError, match="not a file but a"):
+            read_input(tmp_path / name, 10)
+    server.close()
+    for read in (open_file, lambda name: read_input(name, 10)):
+        with pytest.raises(InputError, match="not a name that a file can have"):
+            read("a\0b")
+
+
+def test_devices_are_not_even_opened(monkeypatch):
+    monkeypatch.setattr(os, "open", lambda *_: pytest.fail("opened"))
+    with pytest.raises(InputError, match="not a file but a device"):
+        read_input("/dev/zero", 10)
+
+
+def test_a_pipe_that_takes_the_place_of_a_file_at_the_last_moment_is_not_waited_for(tmp_path, monkeypatch):
+    file = tmp_path / "a"
+    file.write_bytes(b"x")
+    real = os.open
+
+    def swapped(path, *arguments):
+        file.unlink()
+        os.mkfifo(file)
+        return real(path, *arguments)
+
+    monkeypatch.setattr(os, "open", swapped)
+    before = len(list(Path("/dev/fd").iterdir()))
+    with pytest.raises(InputError, match="not a file but a pipe"):
+        read_file(file)
+    assert len(list(Path("/dev/fd").iterdir())) == before
+
+
+def test_what_a_pipe_holds_is_input(fifo):
+    def write():
+        with fifo.open("wb") as pipe:
+            pipe.write(b"left")
+            pipe.flush()
+            pipe.write(b" and right" * 10_000)
+
+    thread = threading.Thread(target=write, daemon=True)
+    thread.start()
+    assert read_input(fifo, 1 << 20) == b"left" + b" and right" * 10_000
+    thread.join()
+
+
+@pytest.mark.skipif(not Path("/dev/fd").exists(), reason="shells hand pipes on by these names")
+def test_process_substitution_is_input():
+    reader, writer = os.pipe()
+    os.write(writer, b"{}")
+    os.close(writer)
+    try:
+        assert read_input(f"/dev/fd/{reader}", 10) == b"{}"
+        assert read_input(f"/dev/fd/{reader}", 10) == b""
+    finally:
+        os.close(reader)
+
+
+def test_a_pipe_that_nobody_writes_to_is_not_waited_for(fifo, monkeypatch):
+    monkeypatch.setattr(limits, "PIPE_WAIT_S", 0.2)
+    with pytest.raises(InputError, match=r"pipe: a pipe that has not ended within 0\.2 s"):
+        read_input(fifo, 10)
+
+
+def test_a_pipe_that_drips_is_not_waited_for(fifo, drip, monkeypatch):
+    monkeypatch.setattr(limits, "PIPE_WAIT_S", 0.3)
+    both = os.open(fifo, os.O_RDWR)
+    drip(lambda: os.write(both, b"x"))
+    with pytest.raises(InputError, match=r"has not ended within 0\.3 s"):
+        read_input(fifo, 1 << 20)
+    os.close(both)
+
+
+def test_a_pipe_without_end_takes_no_more_memory_than_its_budget(fifo):
+    def write():
+        with pytest.raises(BrokenPipeError), fifo.open("wb", buffering=0) as pipe:
+            while True:
+                pipe.write(bytes(1 << 16))
+
+    thread = threading.Thread(target=write, daemon=True)
+    thread.start()
+    with pytest.raises(TooLargeError, match="larger than 2 MB"):
+        read_input(fifo, 2_000_000)
+    thread.join(5)
+
+
+def test_a_reader_that_takes_a_byte_at_a_time_does_not_stop_the_clock(drip):
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    drip(lambda: os.read(reader, 4096))
+    with no_later_than(0.3):
+        write_pipe(writer, bytes(1 << 24), Deadline(0.3), list)
+    os.close(writer)
+
+
+def test_what_was_written_before_the_end_is_read_before_it():
+    reader, writer = os.pipe()
+
+    def ended():
+        os.write(writer, b"farewell")
+        os.close(writer)
+        raise ValueError("it ended")
+
+    assert read_pipe(reader, ByteBudget(100, "pipe"), Deadline(20), ended) == b"farewell"
+    os.close(reader)
+
+
+def test_only_pipes_are_opened_as_pipes(tmp_path, fifo):
+    (tmp_path / "a").write_bytes(b"x")
+    with pytest.raises(InputError, match="a: not a pipe"):
+        open_pipe(tmp_path / "a", os.O_RDONLY)
+    handle = open_pipe(fifo, os.O_RDONLY)
+    assert stat.S_ISFIFO(os.fstat(handle).st_mode)
+    os.close(handle)
+
+
+def test_messages_of_workers_have_a_budget():
+    ours, theirs = multiprocessing.Pipe()
+    theirs.send({"a": 1})
+    assert receive_message(ours, 1000) == {"a": 1}
+    theirs.send("x" * 1000)
+    with pytest.raises(OSError, match="bad message length"):
+        receive_message(ours, 1000)
+    theirs.close()
+
+
+def test_a_name_server_that_is_silent_is_not_waited_for(monkeypatch):
+    over = threading.Event()
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: over.wait(20) and [])
+    with pytest.raises(TimeoutError, match=r"no address of it within 0\.1 s"):
+        Wire("somewhere", 80, Deadline(0.1), ByteBudget(10, "somewhere"), is_secure=False)
+    over.set()
+
+
+def test_a_server_that_does_not_shake_hands_is_not_waited_for():
+    with socket.create_server(("127.0.0.1", 0)) as server, pytest.raises(TimeoutError):
+        Wire("127.0.0.1", server.getsockname()[1], Deadline(0.2), ByteBudget(10, "server"), is_secure=True)
+
+
+def test_a_name_that_no_server_can_have():
+    with pytest.raises(OSError, match="not a name that a server can have"):
+        Wire("a" * 70, 80, Deadline(5), ByteBudget(10, "server"), is_secure=False)
+
+
+ALLOWED = {
+    "gsrain_engine/untrusted/limits.py": "the place itself",
+    "gsrain_engine/scene/file_lock.py": "locks, opened without waiting and never read",
+    "gsrain_engine/scene/atomic_files.py": "brings to the disk what it has written",
+    "gsrain_engine/scene/formats/loading_times.py": "reads a folder that it has written, to time that",
+    "gsrain_engine/scene/formats/scene_folder.py": "hashes a file that it has just written",
+    "gsrain_engine/scene/open_scene.py": "hashes its own source",
+    "gsrain_engine/kernel_cache.py": "looks into its own folder, which nobody else may write to",
+    "gsrain_engine/shipped_configs.py": "files of the package",
+    "gsrain_engine/render/shaders.py": "files of the package",
+    "gsrain_engine/evaluate/report/page.py": "files of the package",
+    "gsrain_engine/render/machine.py": "a list of processors that Linux makes",
+    "gsrain_engine/appearance/cyclegan_turbo/sorted_header.py": "puts a file that it has just written in order",
+    "gsrain_engine/drive/sweeps/pool_worker.py": "the worker's end: jobs of the program that has started it",
+    "app/window_icon.py": "files of the package",
+    "app/commands/evaluate/lidar_page.py": "a figure that it has just drawn",
+}
+"""Files that open others by themselves, and why they may."""
+
+
+LIBRARIES = (
+    "open", "io.open", "os.open", "Image.open", "gzip.open", "np.load", "np.fromfile", "np.memmap", "torch.load",
+    "zipfile.ZipFile", "zipfile.is_zipfile", "cv2.imread", "cv2.VideoCapture",
+)  # fmt: skip
+HINTS = re.compile(r"\b(open|load|fromfile|memmap|ZipFile|is_zipfile|read_bytes|read_text|recv|imread|VideoCapture)\(")
+"""Files without any of these words need no closer look."""
+STREAMS = ("stream", "io.BytesIO(", "BytesIO(")
+"""Names of what `open_file` gives, and bytes in memory."""
+OTHERS = ("im_file_dialog.FileDialog.instance()", "archive")
+"""Of theirs, `open` opens something else: a dialog, a member of an archive that is open."""
+
+
+def opened_unbounded(source: str) -> Iterator[int]:
+    """Lines that read from a path, or wait for a process."""
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.Call):
+            continue
+        dotted = ast.unparse(node.func)
+        of, _, name = dotted.rpartition(".")
+        first = node.args[0] if node.args else None
+        mode = first.value if isinstance(first, ast.Constant) else None
+        if dotted in LIBRARIES:
+            is_wrong = first is None or not ast.unparse(first).startswith(STREAMS)
+        elif name == "open" and of and of not in OTHERS:
+            is_wrong = (first is None or isinstance(mode, str)) and set(mode or "r") <= set("rbt+")
+        else:
+            is_wrong = bool(of) and name in ("read_bytes", "read_text", "recv")
+        if is_wrong:
+            yield node.lineno
+
+
+def test_nothing_else_opens_files():
+    found = {}
+    for folder in ("app", "ui", "gsrain_engine"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            source = path.read_text(encoding="utf-8")
+            if HINTS.search(source) and (lines := list(opened_unbounded(source))):
+                found[path.relative_to(ROOT).as_posix()] = lines
+    assert {name: lines for name, lines in found.items() if name not in ALLOWED} == {}
+    assert [name for name in ALLOWED if name not in found] == []
+
+
+def test_what_opens_files_is_found():
+    wrong = (
+        "path.read_bytes()",
+        "path.open('rb')",
+        "path.open(encoding='utf-8')",
+        "np.fromfile(a)",
+        "Image.open(name)",
+    )
+    assert [list(opened_unbounded(line)) for line in wrong] == [[1]] * len(wrong)
+    right = ("path.open('wb')", "Image.open(stream)", "np.load(stream)", "open_file(path)", "session.open(path)")
+    assert [list(opened_unbounded(line)) for line in right] == [[]] * len(right)
