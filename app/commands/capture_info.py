@@ -103,6 +103,9 @@ def _cameras(summary: CaptureSummary) -> Table:
         table.add_column(title, no_wrap=True)
     for each in summary.sensors:
         focal = f"{each.focal_px[0]:.1f} {each.focal_px[1]:.1f}"
-        size, fov = f"{each.width}x{each.height}", f"{each.horizontal_fov_deg:.1f} deg"
+        size = f"{each.width}x{each.height}"
+        if each.largest_px != (each.width, each.height):
+            size += f" to {each.largest_px[0]}x{each.largest_px[1]}"
+        fov = f"{each.horizontal_fov_deg:.1f} deg"
         table.add_row(each.name or "-", str(each.views), size, focal, fov, each.lens.partition(" ")[0] or "straight")
     return table

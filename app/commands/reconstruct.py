@@ -40,6 +40,13 @@ def reconstruct(
         str | None, Parameter(help="Keep every Nth view for measuring (0: none), or these names, with commas between.")
     ] = None,
     seed: Annotated[int | None, Parameter(help=help_of("seed"))] = None,
+    own_body: Annotated[
+        bool | None,
+        Parameter(
+            help="Look for the vehicle's own body in the pictures, and leave it out; default: only where the capture "
+            "is a drive (a rig on a vehicle, or odometry)."
+        ),
+    ] = None,
     device: Annotated[Literal["auto", "cpu", "cuda"] | None, Parameter(help=help_of("device"))] = None,
     resume: Annotated[bool, Parameter(help="Go on from the checkpoint that a stopped run left beside SCENE.")] = False,
     report: Annotated[
@@ -51,7 +58,7 @@ def reconstruct(
     """Fit Gaussians to a capture, and measure them on views that were kept apart. Ctrl-C leaves a checkpoint."""
     settings = _settings(
         config, steps=steps, width_px=width, gaussians=gaussians, density=density, sh_degree=sh_degree, seed=seed,
-        device=device, **_kept_apart(held_out),
+        own_body=own_body, device=device, **_kept_apart(held_out),
     )  # fmt: skip
     check_scene_folder(output)
     page = report_beside(output, report)
@@ -107,6 +114,7 @@ def _print(result: Any, output: Path) -> None:
                 f"{each.name}, {kind}", f"{each.psnr_db:.2f}", f"{each.psnr_exposed_db:.2f}", f"{each.ssim:.3f}", lpips
             )
     console.print(table)
+    console.print(f"Own body: {result.own_body.line}", markup=False)
     numbers = result.numbers
     if numbers["psnr_held_out_db"] is None:
         console.print("No view was held out: how well it shows new views is not known.")

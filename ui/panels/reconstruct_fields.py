@@ -36,6 +36,7 @@ _PRESETS = {
 }
 _NUMBERS = {"steps": 50, "width_px": 16, "gaussians": 5000, "held_out": 1}
 """Whole numbers that are shown, each with the step of its buttons."""
+_OWN_BODY: dict[str, bool | None] = {"where it is a drive": None, "look for it": True, "don't look": False}
 _RECONSTRUCT_HELP = (
     "Fit Gaussians to the capture in the background. Snapshots come into the view meanwhile;\n"
     "undo brings the present scene back. A report shows the held-out views."
@@ -112,6 +113,7 @@ def _settings() -> None:
         _number(name, step)
     for name in ("density", "sh_degree"):
         _choice(name)
+    _own_body()
 
 
 def _preset() -> None:
@@ -142,6 +144,16 @@ def _choice(name: str) -> None:
     imgui.set_item_tooltip(info.help)
     if changed:
         _set(name, choices[at])
+
+
+def _own_body() -> None:
+    info = field_info("own_body", TrainingSettings)
+    plain_label(info.title, info.help)
+    values = list(_OWN_BODY.values())
+    changed, at = imgui.combo("##own_body", values.index(_chosen.settings.own_body), list(_OWN_BODY))
+    imgui.set_item_tooltip(info.help)
+    if changed:
+        _set("own_body", values[at])
 
 
 def _set(name: str, value: object) -> None:
