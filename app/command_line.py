@@ -2,6 +2,7 @@
 
 import logging
 import sys
+from contextvars import copy_context
 from difflib import get_close_matches
 from importlib import metadata
 from pathlib import Path
@@ -118,7 +119,8 @@ def run(arguments: list[str]) -> int:
     if arguments[:1] == ["evaluate"]:
         add_installed_evaluations(evaluations, _OUR_EVALUATIONS, arguments[1:])
     try:
-        code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        # In a context of its own, so that what one command allows ends with it.
+        code = copy_context().run(app, arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
         errors.print(f"gsrain: {_one_line(str(error))}")
         return BAD_INPUT

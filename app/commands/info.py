@@ -14,7 +14,7 @@ from gsrain_engine.scene.members import Actor, Layer
 from gsrain_engine.scene.open_scene import open_scene
 from gsrain_engine.scene.scene import Scene
 
-from .arguments import JsonFile, write_numbers
+from .arguments import AllowOutside, JsonFile, let_names_lead_outside, write_numbers
 from .capture_info import capture_info
 from .marked import marked, marked_text
 from .sources import names_scene
@@ -28,9 +28,11 @@ def info(
     overlay: Annotated[
         Path | None, Parameter(help="Capture: draw points and boxes into some views, and write the picture here.")
     ] = None,
+    allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
     """Print what a scene holds (counts, bounds, harmonics, memory) or a capture (cameras, lidar, boxes, problems)."""
+    let_names_lead_outside(allow_outside)
     if not names_scene(scene) and capture_format(scene) is not None:
         write_numbers(json, capture_info(Path(scene), check, overlay))
         return

@@ -15,7 +15,7 @@ from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.open_scene import open_scene
 from gsrain_engine.session.jobs.torch_extra import require_torch
 
-from .arguments import JsonFile, write_numbers
+from .arguments import AllowOutside, JsonFile, let_names_lead_outside, write_numbers
 from .converted_options import converted_options
 from .outputs import check_scene_folder, check_writable, report_beside
 from .progress import followed
@@ -50,9 +50,11 @@ def recolor(
     report: Annotated[
         Path | None, Parameter(help="HTML report of the run; default: beside SCENE, as SCENE.report.html.")
     ] = None,
+    allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
     """Solve a scene's colours for pictures; its geometry stays. The clear colours stay too, unless replaced."""
+    let_names_lead_outside(allow_outside)
     options = _options(
         {"width_px": width, "held_out": held_out, "polish": polish, "refine": _REFINE_STEPS * refine},
         {

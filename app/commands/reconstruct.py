@@ -11,7 +11,7 @@ from rich.table import Table
 from gsrain_engine.reconstruct.training.settings import TrainingSettings, help_of, load_settings, settings_names
 from gsrain_engine.session.jobs.torch_extra import require_torch
 
-from .arguments import JsonFile, write_numbers
+from .arguments import AllowOutside, JsonFile, let_names_lead_outside, write_numbers
 from .outputs import check_scene_folder, check_writable, report_beside
 from .progress import followed
 
@@ -53,9 +53,11 @@ def reconstruct(
         Path | None, Parameter(help="HTML report of the run; default: beside SCENE, as SCENE.report.html.")
     ] = None,
     lpips: Annotated[Path | None, Parameter(help="Weights of LPIPS; default: those of this machine, if any.")] = None,
+    allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
     """Fit Gaussians to a capture, and measure them on views that were kept apart. Ctrl-C leaves a checkpoint."""
+    let_names_lead_outside(allow_outside)
     settings = _settings(
         config, steps=steps, width_px=width, gaussians=gaussians, density=density, sh_degree=sh_degree, seed=seed,
         own_body=own_body, device=device, **_kept_apart(held_out),

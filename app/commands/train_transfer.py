@@ -12,7 +12,7 @@ from gsrain_engine.appearance.finetuning.settings_file import finetuning_help, f
 from gsrain_engine.appearance.finetuning.task import TrainingResult, TrainingTask
 from gsrain_engine.session.appearance.transfer_training_work import train_transfer as work
 
-from .arguments import JsonFile, write_numbers
+from .arguments import AllowOutside, JsonFile, let_names_lead_outside, write_numbers
 from .outputs import check_writable
 from .progress import followed
 
@@ -44,9 +44,11 @@ def train_transfer(
     lpips: Annotated[str | None, Parameter(help=finetuning_help("lpips"))] = None,
     start: Annotated[str | None, Parameter(help=finetuning_help("start"))] = None,
     seed: Annotated[int | None, Parameter(help=finetuning_help("seed"))] = None,
+    allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
     """Fine-tune the transfer on two sets of pictures that show no place twice. Ctrl-C leaves the last checkpoint."""
+    let_names_lead_outside(allow_outside)
     settings = load_finetuning(
         config, device=device, steps=steps, base=base, clip=clip, lpips=lpips, start=start, seed=seed,
         clear=_sources(clear), rainy=_sources(rainy),

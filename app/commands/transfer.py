@@ -16,7 +16,7 @@ from gsrain_engine.appearance.transfer_record import TransferRecord
 from gsrain_engine.appearance.transferred_folder import check_transferred_folder, write_transferred
 from gsrain_engine.render.pictures import write_sheet
 
-from .arguments import JsonFile, write_numbers
+from .arguments import AllowOutside, JsonFile, let_names_lead_outside, write_numbers
 from .outputs import check_writable
 from .progress import progress_bar
 from .transfer_options import MethodOptions, ViewOptions
@@ -30,12 +30,14 @@ def transfer(
     method: MethodOptions | None = None,
     views: ViewOptions | None = None,
     sheet: Annotated[Path | None, Parameter(help="Also write a picture of some views before and after.")] = None,
+    allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
     """Make views rainy. gsrain recolor and gsrain reconstruct take DIR as --images.
 
     DIR/clear holds the views as they were: another program may change them, and --method images takes what it made.
     """
+    let_names_lead_outside(allow_outside)
     how, where = method or MethodOptions(), views or ViewOptions()
     settings, choice = how.settings, where.choice
     how.check()

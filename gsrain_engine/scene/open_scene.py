@@ -16,8 +16,8 @@ from gsrain_engine.scene.drawing_order import put_into_drawing_order
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.formats.known_files import KnownFiles
-from gsrain_engine.scene.formats.scene_files import SOG_FILE
 from gsrain_engine.scene.formats.scene_folder import SCENE_FILE, is_in_drawing_order
+from gsrain_engine.scene.formats.sog import is_sog_folder
 from gsrain_engine.scene.marks import UNMARKED, Marks
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import rows_of
@@ -85,7 +85,7 @@ def is_built_in(name: Path | str | None) -> bool:
 
 
 def _is_scene(path: Path) -> bool:
-    return path.is_file() or scene_folder_of(path) is not None or (path / SOG_FILE).is_file()
+    return path.is_file() or scene_folder_of(path) is not None or is_sog_folder(path)
 
 
 def _put_into_order(scene: Scene) -> Scene:

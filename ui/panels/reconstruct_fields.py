@@ -64,13 +64,13 @@ def reconstruct_fields(session: Session) -> None:
     if has_torch():
         _settings()
         if _button("Reconstruct", _RECONSTRUCT_HELP, why_not):
-            session.start_task(Reconstruction(captures.path, _chosen.settings))
+            session.start_task(Reconstruction(captures.path, _chosen.settings, allow_outside=captures.allows_outside))
     else:
         imgui.text_wrapped(f"To reconstruct, torch is needed, which is not installed: {HOW_TO_GET_TORCH}")
     if not session.scene.gaussian_count:
         why_not = why_not or "There is no scene yet whose colours could be solved for."
     if _button("Recolour to these pictures", _RECOLOR_HELP, why_not):
-        session.start_task(Recoloring(session.scene, session.files.known, captures.path))
+        _recolor(session, captures.path, [])
     if _button("Recolour to other pictures...", _RECOLOR_OTHERS_HELP, why_not):
         ask_what_to_open("Pictures to recolour to (folder)", "", partial(_recolor, session, captures.path))
     if newest is not None:
@@ -104,7 +104,8 @@ def _newest(session: Session) -> tuple[int, SceneJob] | None:
 
 
 def _recolor(session: Session, capture: Path, chosen: list[Path]) -> None:
-    session.start_task(Recoloring(session.scene, session.files.known, capture, chosen[0]))
+    images, allowed = chosen[0] if chosen else None, session.captures.allows_outside
+    session.start_task(Recoloring(session.scene, session.files.known, capture, images, allow_outside=allowed))
 
 
 def _settings() -> None:

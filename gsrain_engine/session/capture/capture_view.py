@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsrain_engine.datasets.capture import Capture, CaptureError, View
+from gsrain_engine.datasets.files.inside import OutsideError
 from gsrain_engine.scene.scene import Scene, rotation_to_z_up
 
 from ..document.viewed_document import ViewedDocument
@@ -53,7 +54,11 @@ class CaptureView:
         self.viewport_px = (960, 640)
         """Size of the viewport at the last frame."""
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="capture")
-        self._opening: tuple[Path, Future[tuple[Capture, ShownPoints | None]]] | None = None
+        self.allows_outside = False
+        """Whether files that lie outside of the capture's folder and are named in its files are read."""
+        self.refused: tuple[Path, str] | None = None
+        """A capture that was not opened because its files name others outside of its folder, and the sentence."""
+        self._opening: tuple[Path, bool, Future[tuple[Capture, ShownPoints | None]]] | None = None
         self.in_scene_axes: bool | None = None
         """Whether the capture lies in the scene's units and axes, where a person has said so."""
         self._cameras: tuple[Float64[np.ndarray, "4 4"], RecordedCameras] | None = None
@@ -61,9 +66,13 @@ class CaptureView:
 
     # Opening and closing
 
-    def open(self, path: Path) -> None:
-        """Read a capture in the background; of several, the last one. Trouble is told in `problem`."""
-        self._opening = path, self._thread.submit(_read, path)
+    def open(self, path: Path, *, allow_outside: bool = False) -> None:
+        """Read a capture in the background; of several, the last one. Trouble is told in `problem`.
+
+        One whose files name others outside of its folder is left in `refused`, unless that is allowed.
+        """
+        self.refused = None
+        self._opening = path, allow_outside, self._thread.submit(_read, path, allow_outside)
 
     def close_capture(self) -> None:
         """Show none any more."""
@@ -83,15 +92,19 @@ class CaptureView:
 
     def poll(self, session: ViewedDocument) -> None:
         """Take in what has been read."""
-        if self._opening is not None and self._opening[1].done():
-            (path, reading), self._opening = self._opening, None
+        if self._opening is not None and self._opening[2].done():
+            (path, allow_outside, reading), self._opening = self._opening, None
             try:
                 capture, points = reading.result()
+            except OutsideError as error:
+                self.refused = path, str(error)
+                logger.error("%s", error)
             except (CaptureError, OSError, ValueError, MemoryError) as error:
                 session.problem = str(error)
                 logger.error("%s", error)
             else:
                 self._enter(path, capture, points)
+                self.allows_outside = allow_outside
         if self.pictures is not None:
             self.pictures.poll()
 
@@ -200,8 +213,8 @@ def _unit(direction: tuple[float, float, float]) -> Float64[np.ndarray, "3"]:
     return np.asarray(direction, np.float64) / np.linalg.norm(direction)
 
 
-def _read(path: Path) -> tuple[Capture, ShownPoints | None]:
+def _read(path: Path, allow_outside: bool) -> tuple[Capture, ShownPoints | None]:
     from gsrain_engine.datasets.open_capture import open_capture  # loads every reader
 
-    capture = open_capture(path)
+    capture = open_capture(path, allow_outside=allow_outside)
     return capture, shown_points(capture)
