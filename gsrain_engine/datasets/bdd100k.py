@@ -43,8 +43,8 @@ def _holds_frames(files: list[Path]) -> bool:
 def read_bdd100k(path: Path) -> Capture:
     """Read all frames at or below a folder, each standing by itself; their attributes where label files lie by.
 
-    Pictures with other names, broken frames and label files are left out, counted and named. Raises `CaptureError` where
-    no frame is whole.
+    Pictures with other names, broken frames and label files are left out, counted and named. Raises `CaptureError`
+    where no frame is whole.
     """
     pictures = [file for folder in _image_folders(path) for file in pictures_in(folder)]
     files = [file for file in pictures if _is_frame(file)]

@@ -132,7 +132,7 @@ _OPTIONAL = frozenset({"points3D.bin", "sparse", "database.db", "other transform
 
 
 def nearest_kind(path: Path) -> str | None:
-    """Say which kind a folder is nearest to and what it lacks, as in "KITTI raw without oxts"; None where nothing tells.
+    """Say which kind a folder is nearest to, and what it lacks ("KITTI raw without oxts"); None where nothing tells.
 
     For a file it is None: its name says what it should be.
     """

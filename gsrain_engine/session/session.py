@@ -30,6 +30,7 @@ from .files.screenshot_name import new_screenshot
 from .jobs.scene_job import SceneJob, SceneTask
 from .log import LogLines
 from .matching.matching_view import MatchingView
+from .questions import Answer, Question, nothing
 from .rain.rain_lab import RainLab
 from .rain.roof_search import RoofSearch
 from .rain.shower_view import ShowerView
