@@ -96,7 +96,7 @@ def _neighbour(path: Path) -> str:
 
 def _single_layer(name: str, gaussians: Gaussians) -> Scene:
     name = name.encode(errors="replace").decode()  # bytes of a file's name that are no UTF-8 can't be saved as JSON
-    return Scene(name, layers=(Layer(name, gaussians),), up=FILE_UP)
+    return Scene(name, layers=(Layer(name, gaussians),), up=FILE_UP, unit_is_assumed=True)
 
 
 def _stem(path: Path) -> str:
