@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from PIL import Image
-from rich.console import Console
 from rich.table import Table
 
 from gsrain_engine.datasets.capture import Capture
@@ -16,10 +15,8 @@ from gsrain_engine.datasets.overlay import contact_sheet
 from gsrain_engine.datasets.readable_pictures import readable_pictures
 from gsrain_engine.render.pictures import write_sheet
 
+from .console import wide_console
 from .progress import progress_bar
-
-_NARROWEST = 120
-"""Columns that the table of cameras has at least: a pipe, which claims 80, cuts no name."""
 
 
 def capture_info(path: Path, check: bool, overlay: Path | None) -> dict[str, Any]:
@@ -56,7 +53,7 @@ def _checked(capture: Capture) -> tuple[Capture, tuple[PoseCheck, ...]]:
 
 
 def _print(summary: CaptureSummary, kind: str, checks: tuple[PoseCheck, ...], checked: bool) -> None:
-    console = Console(soft_wrap=True, highlight=False, markup=False, width=max(Console().width, _NARROWEST))
+    console = wide_console()
     lasts = f" over {summary.seconds:.1f} s" if summary.seconds >= 0.05 else ""
     console.print(f"{summary.name}: {kind}, {_counted(summary.views, 'view')}{lasts}")
     if summary.has_poses:

@@ -5,17 +5,19 @@ from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
-from rich.console import Console
 from rich.table import Table
 
+from gsrain_engine.datasets.nearest_kind import nearest_kind
 from gsrain_engine.datasets.open_capture import capture_format
 from gsrain_engine.scene.bounds import bounds
+from gsrain_engine.scene.formats.scene_files import INNER_SCENE
 from gsrain_engine.scene.members import Actor, Layer
-from gsrain_engine.scene.open_scene import open_scene
+from gsrain_engine.scene.open_scene import open_scene, scene_folder_of
 from gsrain_engine.scene.scene import Scene
 
 from .arguments import AllowOutside, JsonFile, let_names_lead_outside, write_numbers
 from .capture_info import capture_info
+from .console import wide_console
 from .marked import marked, marked_text
 from .sources import names_scene
 
@@ -33,13 +35,25 @@ def info(
 ) -> None:
     """Print what a scene holds (counts, bounds, harmonics, memory) or a capture (cameras, lidar, boxes, problems)."""
     let_names_lead_outside(allow_outside)
-    if not names_scene(scene) and capture_format(scene) is not None:
-        write_numbers(json, capture_info(Path(scene), check, overlay))
+    is_scene, inner = names_scene(scene), scene_folder_of(Path(scene) / INNER_SCENE)
+    if not is_scene and capture_format(scene) is not None:
+        numbers = capture_info(Path(scene), check, overlay)
+        if inner is not None:  # what gsrain street writes holds a scene too
+            numbers |= _scene_info(scene)
+        write_numbers(json, numbers)
         return
     if check or overlay is not None:
         raise ValueError(f"{scene}: --check and --overlay are for captures, and this is none that is known")
-    if not names_scene(scene) and Path(scene).is_dir():
-        raise ValueError(f"{scene}: neither a scene (scene.json, or meta.json of SOG) nor a capture that is known")
+    if not is_scene and inner is None and Path(scene).is_dir():
+        near = nearest_kind(Path(scene))
+        nearest = f"; nearest is {near}" if near is not None else ""
+        told = "neither a scene (scene.json, or meta.json of SOG) nor a capture that is known"
+        raise ValueError(f"{scene}: {told}{nearest}")
+    write_numbers(json, _scene_info(scene))
+
+
+def _scene_info(scene: str) -> dict[str, Any]:
+    """Print what a scene holds; returns the printed numbers."""
     opened = open_scene(scene)
     rows = [_member(each) for each in opened.members]
     numbers = {
@@ -48,12 +62,13 @@ def info(
         **marked(opened.members),
         "memory_bytes": sum(row["memory_bytes"] for row in rows),
         "metres_per_unit": opened.metres_per_unit,
+        "metres_per_unit_is_assumed": opened.unit_is_assumed,
         "up": list(opened.up),
         "rigs": {name: [camera.name for camera in cameras] for name, cameras in opened.rigs.items()},
         "members": rows,
     }
     _print(opened, numbers)
-    write_numbers(json, numbers)
+    return numbers
 
 
 def _member(member: Layer | Actor) -> dict[str, Any]:
@@ -73,15 +88,18 @@ def _member(member: Layer | Actor) -> dict[str, Any]:
 
 
 def _print(scene: Scene, numbers: dict[str, Any]) -> None:
-    console = Console()
+    console = wide_console()
     up = ", ".join(f"{v:g}" for v in scene.up)
     marks = marked_text({kind: numbers[kind] for kind in ("deleted", "hidden")})
     size = f"{numbers['memory_bytes'] / 2**20:.1f} MiB"
     console.print(f"{scene.name}: {numbers['gaussians']:,} Gaussians{marks}, {size}")
-    console.print(f"1 unit = {scene.metres_per_unit:g} m, up = ({up})")
+    assumed = " (assumed)" if scene.unit_is_assumed else ""
+    console.print(f"1 unit = {scene.metres_per_unit:g} m{assumed}, up = ({up})")
     for name, cameras in numbers["rigs"].items():
         console.print(f"rig {name}: {', '.join(cameras)}")
-    table = Table("name", "kind", "Gaussians", "SH degree", "wet", "minimum", "maximum", "MiB", box=None)
+    table = Table(box=None)
+    for title in ("name", "kind", "Gaussians", "SH degree", "wet", "minimum", "maximum", "MiB"):
+        table.add_column(title, no_wrap=True)
     for row in numbers["members"]:
         corners = [" ".join(f"{v:g}" for v in row[key]) for key in ("minimum", "maximum")]
         size = f"{row['memory_bytes'] / 2**20:.1f}"

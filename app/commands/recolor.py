@@ -7,6 +7,7 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
+from gsrain_engine.appearance.views.choice import OWN_WIDTH_PX
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.evaluate.report.report_file import write_report
@@ -39,7 +40,9 @@ def recolor(
     iterations: Annotated[int, Parameter(help="Steps of conjugate gradients.")] = RecolorSettings().iterations,
     sh_degree: Annotated[int, Parameter(help="Highest degree of harmonics to solve for, 0..3.")] = 3,
     held_out: Annotated[int, Parameter(help="Every so-many-th view only measures the result; 0: none.")] = 8,
-    width: Annotated[int, Parameter(help="Wider pictures are made smaller, to so many pixels.")] = 480,
+    width: Annotated[
+        int, Parameter(help="Wider pictures are made smaller, to so many pixels; others are taken as they are.")
+    ] = OWN_WIDTH_PX,
     polish: Annotated[int, Parameter(help="Steps for absolute differences and structure afterwards; needs torch.")] = 0,
     refine: Annotated[
         bool, Parameter(help=f"Let all parameters move afterwards, in {_REFINE_STEPS} steps; needs torch.")

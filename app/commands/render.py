@@ -82,9 +82,7 @@ def render(
     asked.check()
     _check(duration=duration, frame=frame)
     if frame is not None and camera is not None and asked.is_still:
-        raise ValueError(
-            f"--frame {frame}: a still from --camera has no other frame; --time sets its moment"
-        )
+        raise ValueError(f"--frame {frame}: a still from --camera has no other frame; --time sets its moment")
     opened = (orientation or Orientation()).of(open_to_draw(scene))
     if labels is not None and not scene_objects(opened):
         raise ValueError(f"--labels {labels}: scene {opened.name!r} has no actors that labels could be about")

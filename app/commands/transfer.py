@@ -49,10 +49,12 @@ def transfer(
     opened = source_views(source, choice, where.capture)
     model = open_transfer(how.method, settings, opened.surroundings)
     told = msgspec.to_builtins(settings, enc_hook=str) | msgspec.to_builtins(choice)
+    told["width_px"] = opened.width_px
     record = TransferRecord(how.method, opened.name, told, opened.to_world)
     rainy = write_transferred(output, model.transferred(opened.views), record, opened.mask)
-    numbers = {"method": how.method} | _followed(rainy, len(opened.views), sheet)
-    print(f"{output}: {numbers['views']} rainy views of {opened.name} in {numbers['seconds']:.1f} s")
+    numbers = {"method": how.method, "width_px": opened.width_px} | _followed(rainy, len(opened.views), sheet)
+    made = f"{numbers['views']} rainy views of {opened.name}"
+    print(f"{output}: {made}, {opened.width_px} px wide, in {numbers['seconds']:.1f} s")
     if sheet is not None:
         print(sheet)
     write_numbers(json, numbers)
