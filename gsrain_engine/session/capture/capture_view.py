@@ -2,6 +2,7 @@
 
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +59,8 @@ class CaptureView:
         """Whether files that lie outside of the capture's folder and are named in its files are read."""
         self.refused: tuple[Path, str] | None = None
         """A capture that was not opened because its files name others outside of its folder, and the sentence."""
-        self._opening: tuple[Path, bool, Future[tuple[Capture, ShownPoints | None]]] | None = None
+        self._opening: tuple[Path, Future[tuple[Capture, ShownPoints | None]]] | None = None
+        self._allowing = False
         self.in_scene_axes: bool | None = None
         """Whether the capture lies in the scene's units and axes, where a person has said so."""
         self._cameras: tuple[Float64[np.ndarray, "4 4"], RecordedCameras] | None = None
@@ -72,7 +74,9 @@ class CaptureView:
         One whose files name others outside of its folder is left in `refused`, unless that is allowed.
         """
         self.refused = None
-        self._opening = path, allow_outside, self._thread.submit(_read, path, allow_outside)
+        self._allowing = allow_outside
+        read = partial(_read, allow_outside=True) if allow_outside else _read
+        self._opening = path, self._thread.submit(read, path)
 
     def close_capture(self) -> None:
         """Show none any more."""
@@ -92,8 +96,8 @@ class CaptureView:
 
     def poll(self, session: ViewedDocument) -> None:
         """Take in what has been read."""
-        if self._opening is not None and self._opening[2].done():
-            (path, allow_outside, reading), self._opening = self._opening, None
+        if self._opening is not None and self._opening[1].done():
+            (path, reading), self._opening = self._opening, None
             try:
                 capture, points = reading.result()
             except OutsideError as error:
@@ -104,7 +108,7 @@ class CaptureView:
                 logger.error("%s", error)
             else:
                 self._enter(path, capture, points)
-                self.allows_outside = allow_outside
+                self.allows_outside = self._allowing
         if self.pictures is not None:
             self.pictures.poll()
 
@@ -213,7 +217,7 @@ def _unit(direction: tuple[float, float, float]) -> Float64[np.ndarray, "3"]:
     return np.asarray(direction, np.float64) / np.linalg.norm(direction)
 
 
-def _read(path: Path, allow_outside: bool) -> tuple[Capture, ShownPoints | None]:
+def _read(path: Path, allow_outside: bool = False) -> tuple[Capture, ShownPoints | None]:
     from gsrain_engine.datasets.open_capture import open_capture  # loads every reader
 
     capture = open_capture(path, allow_outside=allow_outside)
