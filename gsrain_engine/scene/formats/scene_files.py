@@ -80,7 +80,7 @@ def _read(path: Path, known: KnownFiles | None) -> Scene:
         return _single_layer(path.resolve().name, read_sog(path))
     if (path / INNER_SCENE / SCENE_FILE).is_file():
         return read_scene_folder(path / INNER_SCENE, known)
-    told = f"a scene folder holds {SCENE_FILE} and a SOG folder {SOG_FILE} with its pictures; this has neither"
+    told = f"a scene folder holds {SCENE_FILE} and a SOG folder {SOG_FILE}; this has neither"
     if (path / SOG_FILE).is_file():
         told += f" (its {SOG_FILE} is none of SOG: it does not say where the means are)"
     raise SceneFormatError(path, told)
