@@ -158,3 +158,13 @@ def test_frames_and_speeds_that_make_no_sense(project, tmp_path, capsys, options
     assert render(project, tmp_path / "a.png", *asked) == BAD_INPUT
     said = capsys.readouterr().err.strip()
     assert words in said and "\n" not in said
+
+
+def test_an_ego_drives_along_photos_at_walking_pace_or_a_speed(project, photos, tmp_path, capsys):
+    for name, asked, seconds in (("walk", [], 12 / 1.4), ("drive", ["--speed", "6"], 2.0)):
+        assert run(["convert", str(project), str(tmp_path / name), "--drive", str(photos), *asked]) == 0
+        assert ("walking pace" in capsys.readouterr().out) is (not asked)
+        ego = read_scene(tmp_path / name).ego
+        assert ego is not None and ego.times[-1] == pytest.approx(seconds, abs=0.01)
+    assert run(["convert", str(project), str(tmp_path / "none"), "--speed", "6"]) == BAD_INPUT
+    assert "--speed 6: is that of --drive" in capsys.readouterr().err
