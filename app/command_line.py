@@ -1,6 +1,7 @@
 """The command line: which commands there are, and how bad input ends (one line, exit code 2)."""
 
 import logging
+from contextvars import copy_context
 from difflib import get_close_matches
 from importlib import metadata
 from pathlib import Path
@@ -126,7 +127,8 @@ def _run(arguments: list[str], errors: Console) -> int:
     if arguments[:1] == ["evaluate"]:
         add_installed_evaluations(evaluations, _OUR_EVALUATIONS, arguments[1:])
     try:
-        code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        # In a context of its own, so that what one command allows ends with it.
+        code = copy_context().run(app, arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
         errors.print(f"gsrain: {_one_line(str(error))}")
         return BAD_INPUT

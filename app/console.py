@@ -22,7 +22,7 @@ from gsrain_engine.untrusted.printable import escaped
 
 __all__ = [
     "BarColumn", "Console", "MofNCompleteColumn", "Progress", "Table", "TimeElapsedColumn", "TimeRemainingColumn",
-    "WordsColumn", "bold", "console_log", "print", "print_lines", "use_any_encoding",
+    "WordsColumn", "bold", "console_log", "print", "print_lines", "use_any_encoding", "wide_console",
 ]  # fmt: skip
 
 
@@ -47,6 +47,15 @@ class Console(rich.console.Console):
                 yield segment
             else:  # the line breaks of wrapped text stay
                 yield Segment("\n".join(map(escaped, segment.text.split("\n"))), segment.style)
+
+
+_WIDE_COLUMNS = 100_000
+"""More than any table of names has: rich cuts what is wider than its console."""
+
+
+def wide_console() -> Console:
+    """Return a console that cuts and folds nothing, however narrow the terminal is: it wraps longer lines itself."""
+    return Console(soft_wrap=True, width=_WIDE_COLUMNS)
 
 
 def bold(text: str) -> Text:

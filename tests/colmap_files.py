@@ -1,10 +1,15 @@
 """Writes small COLMAP models by the specification of its files, for tests of readers."""
 
 import struct
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
+
+from gsrain_engine.datasets.capture import Capture, View
+from gsrain_engine.scene.rotations import quaternions_from_matrices
 
 IDS = {
     "SIMPLE_PINHOLE": 0,
@@ -63,3 +68,34 @@ def write_pictures(folder: Path, names: tuple[str, ...] = TWO, size: tuple[int, 
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         noise = np.random.default_rng(k).integers(0, 255, (size[1], size[0], 3), np.uint8)
         Image.fromarray(noise).save(folder / name)
+
+
+def cut_rows(capture: Capture) -> tuple[View, ...]:
+    """Views that are each a row higher than the one before, as undistortion by one camera a picture makes them."""
+    views = []
+    for k, view in enumerate(capture):
+        rows = view.camera.height - len(capture) + k + 1
+        pixels = {
+            f"{name}_source": None if (values := getattr(view, name)) is None else values[:rows]
+            for name in ("image", "depth", "sky", "mask")
+        }
+        views.append(replace(view, camera=replace(view.camera, height=rows), **pixels))
+    return tuple(views)
+
+
+def write_undistorted(folder: Path, views: Sequence[View], points_m: np.ndarray) -> None:
+    """Write what image_undistorter makes of photos with a camera each: images/, and a PINHOLE camera a picture."""
+    (folder / "images").mkdir(parents=True)
+    (folder / "sparse").mkdir()
+    cameras, images = [], []
+    for k, view in enumerate(views, start=1):
+        camera, name = view.camera, f"{view.name}.png"
+        cameras.append(f"{k} PINHOLE {camera.width} {camera.height} {camera.fx} {camera.fy} {camera.cx} {camera.cy}")
+        quaternion = quaternions_from_matrices(camera.world_to_camera[None, :3, :3])[0]
+        pose = " ".join(str(each) for each in (*quaternion, *camera.world_to_camera[:3, 3]))
+        images += [f"{k} {pose} {k} {name}", ""]
+        Image.fromarray(view.image).save(folder / "images" / name)
+    (folder / "sparse" / "cameras.txt").write_text("\n".join(cameras) + "\n")
+    (folder / "sparse" / "images.txt").write_text("\n".join(images) + "\n")
+    rows = [f"{k} {x} {y} {z} 120 110 100 0.5 1 0" for k, (x, y, z) in enumerate(points_m)]
+    (folder / "sparse" / "points3D.txt").write_text("\n".join(rows) + "\n")

@@ -21,6 +21,14 @@ JsonFileOrScreen = Annotated[
     Path | None,
     Parameter(name="--json", help="Write the numbers to this file; - prints them.", allow_leading_hyphen=True),
 ]
+AllowOutside = Annotated[
+    bool,
+    Parameter(
+        name="--allow-outside",
+        negative="",
+        help="Read files that a capture's own files name outside of its folder: absolute, by .., or through links.",
+    ),
+]
 SCREEN = Path("-")
 """In the place of a file: standard output."""
 
@@ -78,6 +86,14 @@ def write_numbers(file: Path | None, numbers: Mapping[str, Any]) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(file) as beside:
             beside.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+
+
+def let_names_lead_outside(allowed: bool) -> None:
+    """Act on `AllowOutside`, for as long as the command runs."""
+    if allowed:
+        from gsrain_engine.datasets.files.inside import allow_outside  # only for captures
+
+        allow_outside(allowed)
 
 
 def words_go_to(file: Path | None) -> TextIO:

@@ -14,11 +14,8 @@ from gsrain_engine.datasets.overlay import contact_sheet
 from gsrain_engine.datasets.readable_pictures import readable_pictures
 from gsrain_engine.render.pictures import write_sheet
 
-from ..console import Console, Table, print
+from ..console import Table, print, wide_console
 from .progress import progress_bar
-
-_NARROWEST = 120
-"""Columns that the table of cameras has at least: a pipe, which claims 80, cuts no name."""
 
 
 def capture_info(path: Path, check: bool, overlay: Path | None) -> dict[str, Any]:
@@ -55,7 +52,7 @@ def _checked(capture: Capture) -> tuple[Capture, tuple[PoseCheck, ...]]:
 
 
 def _print(summary: CaptureSummary, kind: str, checks: tuple[PoseCheck, ...], checked: bool) -> None:
-    console = Console(soft_wrap=True, highlight=False, markup=False, width=max(Console().width, _NARROWEST))
+    console = wide_console()
     lasts = f" over {summary.seconds:.1f} s" if summary.seconds >= 0.05 else ""
     console.print(f"{summary.name}: {kind}, {_counted(summary.views, 'view')}{lasts}")
     if summary.has_poses:
@@ -102,6 +99,9 @@ def _cameras(summary: CaptureSummary) -> Table:
         table.add_column(title, no_wrap=True)
     for each in summary.sensors:
         focal = f"{each.focal_px[0]:.1f} {each.focal_px[1]:.1f}"
-        size, fov = f"{each.width}x{each.height}", f"{each.horizontal_fov_deg:.1f} deg"
+        size = f"{each.width}x{each.height}"
+        if each.largest_px != (each.width, each.height):
+            size += f" to {each.largest_px[0]}x{each.largest_px[1]}"
+        fov = f"{each.horizontal_fov_deg:.1f} deg"
         table.add_row(each.name or "-", str(each.views), size, focal, fov, each.lens.partition(" ")[0] or "straight")
     return table

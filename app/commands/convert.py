@@ -9,6 +9,7 @@ from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.formats.scene_files import names_scene_folder
 from gsrain_engine.scene.open_scene import open_scene
 from gsrain_engine.scene.paths.files import read_camera_path
+from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.wet_colors import with_wetness_baked
 from gsrain_engine.session.edits.ego_drive import drive_along, drive_along_own_path
 from gsrain_engine.session.edits.level import level_from_ground
@@ -19,6 +20,7 @@ from .arguments import JsonFile, write_numbers
 from .marked import marked, marked_text
 from .orientation import Orientation
 from .outputs import hold
+from .path_speed import timed_path
 
 _OWN = "own"
 """A scene's own camera path, where a file could be named."""
@@ -48,6 +50,10 @@ def convert(
             "(ours, nerfstudio's, cameras.json of 3DGS). gsrain drive needs one."
         ),
     ] = None,
+    speed: Annotated[
+        float | None,
+        Parameter(help="Speed in m/s along the path of --drive; default: its own times, or walking pace without any."),
+    ] = None,
     json: JsonFile = None,
 ) -> None:
     """Convert a scene. A scene folder remembers which way is up and how long a unit is.
@@ -65,8 +71,10 @@ def convert(
     if camera_height is not None:
         scene = set_camera_height(scene, camera_height)
         print(f"1 unit = {scene.metres_per_unit:.4g} m")
+    if speed is not None and drive is None:
+        raise ValueError(f"--speed {speed:g}: is that of --drive, which is not asked for")
     if drive is not None:
-        scene = drive_along_own_path(scene) if drive == _OWN else drive_along(scene, read_camera_path(drive))
+        scene = _driven(scene, drive, speed)
     if wetness is not None:
         if all(each.wet_sh is None for each in scene.members):
             raise ValueError(f"--wetness {wetness:g}: {source} has no wet colours; gsrain recolor makes them")
@@ -80,3 +88,14 @@ def convert(
     kept = sum(len(part.gaussians) for part in scene.parts()) - sum(left_out)
     print(f"{target}: {kept:,} Gaussians{f'; {sum(left_out):,} deleted or hidden ones are left out' * any(left_out)}")
     write_numbers(json, {"gaussians": kept, "left_out": sum(left_out)})
+
+
+def _driven(scene: Scene, drive: str, speed: float | None) -> Scene:
+    """Let an ego vehicle drive along a path, at its own times, or as fast as is asked for or assumed."""
+    path = scene.path if drive == _OWN else read_camera_path(drive)
+    if path is None:
+        return drive_along_own_path(scene)  # says what is missing
+    timing = timed_path(path, speed, scene.metres_per_unit)
+    if timing.line is not None:
+        print(f"{drive}: {timing.line}")
+    return drive_along(scene, timing.path)

@@ -6,14 +6,16 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from gsrain_engine.datasets.nearest_kind import nearest_kind
 from gsrain_engine.datasets.open_capture import capture_format
 from gsrain_engine.scene.bounds import bounds
+from gsrain_engine.scene.formats.scene_files import INNER_SCENE
 from gsrain_engine.scene.members import Actor, Layer
-from gsrain_engine.scene.open_scene import open_scene
+from gsrain_engine.scene.open_scene import open_scene, scene_folder_of
 from gsrain_engine.scene.scene import Scene
 
-from ..console import Console, Table
-from .arguments import JsonFile, write_numbers
+from ..console import Table, wide_console
+from .arguments import AllowOutside, JsonFile, let_names_lead_outside, write_numbers
 from .capture_info import capture_info
 from .disdrometer_info import Columns, disdrometer_info
 from .marked import marked, marked_text
@@ -31,22 +33,36 @@ def info(
         Path | None, Parameter(help="Capture: draw points and boxes into some views, and write the picture here.")
     ] = None,
     columns: Columns = None,
+    allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
     """Print what a scene holds (counts, bounds, harmonics, memory) or a capture (cameras, lidar, boxes, problems).
 
     Of a disdrometer's file: instrument, records, drops, rain, what is rejected and why, and how well its rates agree.
     """
-    if not names_scene(scene) and capture_format(scene) is not None:
-        write_numbers(json, capture_info(Path(scene), check, overlay))
+    let_names_lead_outside(allow_outside)
+    is_scene, inner = names_scene(scene), scene_folder_of(Path(scene) / INNER_SCENE)
+    if not is_scene and capture_format(scene) is not None:
+        numbers = capture_info(Path(scene), check, overlay)
+        if inner is not None:  # what gsrain street writes holds a scene too
+            numbers |= _scene_info(scene)
+        write_numbers(json, numbers)
         return
     if check or overlay is not None:
         raise ValueError(f"{scene}: --check and --overlay are for captures, and this is none that is known")
-    if not names_scene(scene) and Path(scene).is_dir():
-        raise ValueError(f"{scene}: neither a scene (scene.json, or meta.json of SOG) nor a capture that is known")
-    if columns is not None or (not names_scene(scene) and Path(scene).is_file()):
+    if not is_scene and inner is None and Path(scene).is_dir():
+        near = nearest_kind(Path(scene))
+        nearest = f"; nearest is {near}" if near is not None else ""
+        told = "neither a scene (scene.json, or meta.json of SOG) nor a capture that is known"
+        raise ValueError(f"{scene}: {told}{nearest}")
+    if columns is not None or (not is_scene and Path(scene).is_file()):
         write_numbers(json, disdrometer_info(Path(scene), columns))
         return
+    write_numbers(json, _scene_info(scene))
+
+
+def _scene_info(scene: str) -> dict[str, Any]:
+    """Print what a scene holds; returns the printed numbers."""
     opened = open_scene(scene)
     rows = [_member(each) for each in opened.members]
     numbers = {
@@ -55,12 +71,13 @@ def info(
         **marked(opened.members),
         "memory_bytes": sum(row["memory_bytes"] for row in rows),
         "metres_per_unit": opened.metres_per_unit,
+        "metres_per_unit_is_assumed": opened.unit_is_assumed,
         "up": list(opened.up),
         "rigs": {name: [camera.name for camera in cameras] for name, cameras in opened.rigs.items()},
         "members": rows,
     }
     _print(opened, numbers)
-    write_numbers(json, numbers)
+    return numbers
 
 
 def _member(member: Layer | Actor) -> dict[str, Any]:
@@ -80,17 +97,20 @@ def _member(member: Layer | Actor) -> dict[str, Any]:
 
 
 def _print(scene: Scene, numbers: dict[str, Any]) -> None:
-    console = Console()
-    up = ", ".join(f"{v:g}" for v in scene.up)
+    console = wide_console()
+    up = ", ".join(f"{v + 0.0:g}" for v in scene.up)  # no -0
     marks = marked_text({kind: numbers[kind] for kind in ("deleted", "hidden")})
     size = f"{numbers['memory_bytes'] / 2**20:.1f} MiB"
     console.print(f"{scene.name}: {numbers['gaussians']:,} Gaussians{marks}, {size}")
-    console.print(f"1 unit = {scene.metres_per_unit:g} m, up = ({up})")
+    assumed = " (assumed)" if scene.unit_is_assumed else ""
+    console.print(f"1 unit = {scene.metres_per_unit:g} m{assumed}, up = ({up})")
     for name, cameras in numbers["rigs"].items():
         console.print(f"rig {name}: {', '.join(cameras)}")
-    table = Table("name", "kind", "Gaussians", "SH degree", "wet", "minimum", "maximum", "MiB", box=None)
+    table = Table(box=None)
+    for title in ("name", "kind", "Gaussians", "SH degree", "wet", "minimum", "maximum", "MiB"):
+        table.add_column(title, no_wrap=True)
     for row in numbers["members"]:
-        corners = [" ".join(f"{v:g}" for v in row[key]) for key in ("minimum", "maximum")]
+        corners = [" ".join(f"{v + 0.0:g}" for v in row[key]) for key in ("minimum", "maximum")]
         size = f"{row['memory_bytes'] / 2**20:.1f}"
         wet = "yes" if row["wet_colors"] else "no"
         table.add_row(row["name"], row["kind"], f"{row['gaussians']:,}", str(row["sh_degree"]), wet, *corners, size)

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from gsrain_engine.appearance.views.choice import OWN_WIDTH_PX
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.evaluate.report.report_file import write_report
@@ -14,7 +15,7 @@ from gsrain_engine.scene.open_scene import open_scene
 from gsrain_engine.session.jobs.torch_extra import require_torch
 
 from ..console import Console, Table, print
-from .arguments import JsonFile, write_numbers
+from .arguments import AllowOutside, JsonFile, let_names_lead_outside, write_numbers
 from .converted_options import converted_options
 from .outputs import check_scene_folder, check_writable, hold, report_beside
 from .progress import followed
@@ -38,7 +39,9 @@ def recolor(
     iterations: Annotated[int, Parameter(help="Steps of conjugate gradients.")] = RecolorSettings().iterations,
     sh_degree: Annotated[int, Parameter(help="Highest degree of harmonics to solve for, 0..3.")] = 3,
     held_out: Annotated[int, Parameter(help="Every so-many-th view only measures the result; 0: none.")] = 8,
-    width: Annotated[int, Parameter(help="Wider pictures are made smaller, to so many pixels.")] = 480,
+    width: Annotated[
+        int, Parameter(help="Wider pictures are made smaller, to so many pixels; others are taken as they are.")
+    ] = OWN_WIDTH_PX,
     polish: Annotated[int, Parameter(help="Steps for absolute differences and structure afterwards; needs torch.")] = 0,
     refine: Annotated[
         bool, Parameter(help=f"Let all parameters move afterwards, in {_REFINE_STEPS} steps; needs torch.")
@@ -49,9 +52,11 @@ def recolor(
     report: Annotated[
         Path | None, Parameter(help="HTML report of the run; default: beside SCENE, as SCENE.report.html.")
     ] = None,
+    allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
     """Solve a scene's colours for pictures; its geometry stays. The clear colours stay too, unless replaced."""
+    let_names_lead_outside(allow_outside)
     options = _options(
         {"width_px": width, "held_out": held_out, "polish": polish, "refine": _REFINE_STEPS * refine},
         {

@@ -10,7 +10,7 @@ from gsrain_engine.reconstruct.training.settings import TrainingSettings, help_o
 from gsrain_engine.session.jobs.torch_extra import require_torch
 
 from ..console import Console, Table, print
-from .arguments import JsonFile, write_numbers
+from .arguments import AllowOutside, JsonFile, let_names_lead_outside, write_numbers
 from .outputs import check_scene_folder, check_writable, hold, report_beside
 from .progress import followed
 
@@ -39,18 +39,27 @@ def reconstruct(
         str | None, Parameter(help="Keep every Nth view for measuring (0: none), or these names, with commas between.")
     ] = None,
     seed: Annotated[int | None, Parameter(help=help_of("seed"))] = None,
+    own_body: Annotated[
+        bool | None,
+        Parameter(
+            help="Look for the vehicle's own body in the pictures, and leave it out; default: only where the capture "
+            "is a drive (a rig on a vehicle, or odometry)."
+        ),
+    ] = None,
     device: Annotated[Literal["auto", "cpu", "cuda"] | None, Parameter(help=help_of("device"))] = None,
     resume: Annotated[bool, Parameter(help="Go on from the checkpoint that a stopped run left beside SCENE.")] = False,
     report: Annotated[
         Path | None, Parameter(help="HTML report of the run; default: beside SCENE, as SCENE.report.html.")
     ] = None,
     lpips: Annotated[Path | None, Parameter(help="Weights of LPIPS; default: those of this machine, if any.")] = None,
+    allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
     """Fit Gaussians to a capture, and measure them on views that were kept apart. Ctrl-C leaves a checkpoint."""
+    let_names_lead_outside(allow_outside)
     settings = _settings(
         config, steps=steps, width_px=width, gaussians=gaussians, density=density, sh_degree=sh_degree, seed=seed,
-        device=device, **_kept_apart(held_out),
+        own_body=own_body, device=device, **_kept_apart(held_out),
     )  # fmt: skip
     check_scene_folder(output)
     hold(output)
@@ -107,6 +116,7 @@ def _print(result: Any, output: Path) -> None:
                 f"{each.name}, {kind}", f"{each.psnr_db:.2f}", f"{each.psnr_exposed_db:.2f}", f"{each.ssim:.3f}", lpips
             )
     console.print(table)
+    console.print(f"Own body: {result.own_body.line}", markup=False)
     numbers = result.numbers
     if numbers["psnr_held_out_db"] is None:
         console.print("No view was held out: how well it shows new views is not known.")

@@ -31,6 +31,7 @@ from ..console import print
 from .arguments import JsonFile, parse_size, write_numbers
 from .orientation import Orientation
 from .outputs import hold
+from .path_speed import TimedPath, timed_path
 from .progress import followed, progress_bar
 from .render_options import RainOptions, RecordingOptions
 from .rendered_weather import rendered_weather
@@ -52,10 +53,14 @@ def render(
         Path | None, Parameter(help="Camera path: ours, nerfstudio's camera_path.json or 3DGS's cameras.json.")
     ] = None,
     size: Annotated[str | None, Parameter(help="WIDTHxHEIGHT in pixels; default 960x640, or the camera's own.")] = None,
+    speed: Annotated[
+        float | None,
+        Parameter(help="Speed along the camera path in m/s; default: its own times, or walking pace without any."),
+    ] = None,
     duration: Annotated[
         float | None, Parameter(help="Seconds of video; default: the path's length, at most 10.")
     ] = None,
-    frame: Annotated[int | None, Parameter(help="Render only this frame of the sequence, counted from 0.")] = None,
+    frame: Annotated[int | None, Parameter(help="Render only this frame of the path or drive, counted from 0.")] = None,
     depth: Annotated[bool, Parameter(help="Add depth to the passes: PNG (16 bit, cm), NPY (m) or EXR (m).")] = False,
     labels: Annotated[
         LabelFormat | None,
@@ -78,6 +83,8 @@ def render(
     )
     asked.check()
     _check(duration=duration, frame=frame)
+    if frame is not None and camera is not None and asked.is_still:
+        raise ValueError(f"--frame {frame}: a still from --camera has no other frame; --time sets its moment")
     opened = (orientation or Orientation()).of(open_to_draw(scene))
     if labels is not None and not scene_objects(opened):
         raise ValueError(f"--labels {labels}: scene {opened.name!r} has no actors that labels could be about")
@@ -87,20 +94,25 @@ def render(
         asked_rain = asked_rain if asked_rain.wetness is not None else structs.replace(asked_rain, wetness=1.0)
     falling = Rainfall.start(asked_rain, weather=rendered_weather(rain, opened))
     is_own_path = camera is None and camera_path is None and opened.path is not None
-    viewpoint = _viewpoint(opened, camera, camera_path, asked)
+    viewpoint = _viewpoint(opened, camera, camera_path, asked, is_frame=frame is not None)
+    timing = _timing(opened, viewpoint, camera_path, asked, speed)
+    viewpoint = viewpoint if timing is None else timing.path
     sequences = sequences_of(asked, opened, falling, viewpoint, in_scene_time=is_own_path)
     numbers = _frame_numbers(asked, sequences, duration, frame)
     hold(*outputs(asked, list(sequences)))
     with open_renderer(backend) as renderer:
         report = _record(renderer, asked, sequences, numbers, look)
         labelled = _label(renderer, labels, asked, sequences, numbers[: report["frames"]])
+    if timing is not None and timing.line is not None:
+        print(f"{camera_path or opened.name}: {timing.line}")
     written = _listed(outputs(asked, list(sequences)))
     first_s = next(iter(sequences.values())).time_s(numbers[0])
     sizes = ", ".join(dict.fromkeys(f"{each.width}x{each.height}" for each in sequences.values()))
     print(f"{written}: {report['frames']} of {len(numbers)} frames, {sizes}, {_describe(falling, first_s)}")
     if labelled:
         print(f"{_listed(labelled)}: labels, the same with rain and without")
-    write_numbers(json, report | {"backend": renderer.name})
+    speeds = {"speed_m_s": timing.speed_m_s, "speed_is_assumed": timing.is_assumed} if timing is not None else {}
+    write_numbers(json, report | {"backend": renderer.name} | speeds)
     return 0 if report["frames"] == len(numbers) else 130
 
 
@@ -175,6 +187,20 @@ def _check(*, duration: float | None, frame: int | None) -> None:
         raise ValueError(f"--frame {frame}: must be 0 or more")
 
 
+def _check_frame(
+    frame: int, sequences: Mapping[str, FrameSequence], recording: Recording, duration: float | None
+) -> None:
+    """Raise ValueError for a frame after the end of the path or drive, unless a longer clip is asked for."""
+    lengths = [each.length_s for each in sequences.values()]
+    if any(each is None for each in lengths):
+        return
+    ends = [recording.last_s - recording.first_s if recording.last_s is not None else None, duration, *lengths]
+    count = max(1, round(max(each for each in ends if each is not None) * recording.fps))
+    loops = any(isinstance(each.camera, CameraPath) and each.camera.loop for each in sequences.values())
+    if frame > count and not loops:
+        raise ValueError(f"--frame {frame}: there are frames 0 to {count} at {recording.fps:g} frames a second")
+
+
 def _made_rainy(scene: Scene) -> Scene:
     # Kernels take a second to load: only where they are needed.
     from gsrain_engine.reconstruct.wet_scene import wet_scene
@@ -183,9 +209,12 @@ def _made_rainy(scene: Scene) -> Scene:
 
 
 def _viewpoint(
-    scene: Scene, camera: Path | None, camera_path: Path | None, recording: Recording
+    scene: Scene, camera: Path | None, camera_path: Path | None, recording: Recording, *, is_frame: bool
 ) -> Camera | CameraPath:
-    """What the options ask for, in the world; else the scene's own path, the ego's drive, or a swing around it."""
+    """What the options ask for, in the world; else the scene's own path, the ego's drive, or a swing around it.
+
+    A still that is no frame of a video shows a scene without path and drive from in front.
+    """
     if camera is not None and camera_path is not None:
         raise ValueError("--camera and --camera-path exclude each other")
     width, height = recording.size_px or DEFAULT_SIZE_PX
@@ -194,15 +223,28 @@ def _viewpoint(
         return (read.resized(width, height) if recording.size_px else read).moved(scene.scene_to_world)
     if camera_path is not None:
         return read_camera_path(camera_path).moved(scene.scene_to_world)
-    if scene.path is not None or not recording.is_still or front_camera(scene) is not None:
+    if scene.path is not None or not recording.is_still or is_frame or front_camera(scene) is not None:
         return own_path(scene, width, height)
     return home_camera(scene, width, height)
+
+
+def _timing(
+    scene: Scene, viewpoint: Camera | CameraPath, camera_path: Path | None, recording: Recording, speed: float | None
+) -> TimedPath | None:
+    """How fast a camera path is flown; None for anything else: a drive has its own speed, and cameras stand."""
+    is_path = camera_path is not None or scene.path is not None
+    if isinstance(viewpoint, CameraPath) and is_path and not recording.cameras:
+        return timed_path(viewpoint, speed, is_still=recording.is_still)
+    if speed is not None:
+        raise ValueError(f"--speed {speed:g}: only a camera path has one (--camera-path, or a scene with its own)")
+    return None
 
 
 def _frame_numbers(
     recording: Recording, sequences: Mapping[str, FrameSequence], duration: float | None, frame: int | None
 ) -> Sequence[int]:
     if frame is not None:
+        _check_frame(frame, sequences, recording, duration)
         return [frame]
     if duration is None or recording.is_still:
         return frame_numbers(recording, sequences)

@@ -11,7 +11,7 @@ from gsrain_engine.appearance.finetuning.task import TrainingResult, TrainingTas
 from gsrain_engine.session.appearance.transfer_training_work import train_transfer as work
 
 from ..console import Console, Table, print
-from .arguments import JsonFile, write_numbers
+from .arguments import AllowOutside, JsonFile, let_names_lead_outside, write_numbers
 from .outputs import check_writable, hold
 from .progress import followed
 from .trust import Trust, with_trust
@@ -45,9 +45,11 @@ def train_transfer(
     start: Annotated[str | None, Parameter(help=finetuning_help("start"))] = None,
     seed: Annotated[int | None, Parameter(help=finetuning_help("seed"))] = None,
     trust: Trust = False,
+    allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
     """Fine-tune the transfer on two sets of pictures that show no place twice. Ctrl-C leaves the last checkpoint."""
+    let_names_lead_outside(allow_outside)
     changes = {"device": device, "steps": steps, "base": base, "clip": clip, "lpips": lpips, "start": start}
     changes |= {"seed": seed, "clear": _sources(clear), "rainy": _sources(rainy)}
     settings = with_trust(lambda: load_finetuning(config, **changes), trust)

@@ -17,7 +17,7 @@ from gsrain_engine.appearance.transferred_folder import check_transferred_folder
 from gsrain_engine.render.pictures import write_sheet
 
 from ..console import print
-from .arguments import JsonFile, write_numbers
+from .arguments import AllowOutside, JsonFile, let_names_lead_outside, write_numbers
 from .outputs import check_writable, hold
 from .progress import progress_bar
 from .transfer_options import MethodOptions, ViewOptions
@@ -31,12 +31,14 @@ def transfer(
     method: MethodOptions | None = None,
     views: ViewOptions | None = None,
     sheet: Annotated[Path | None, Parameter(help="Also write a picture of some views before and after.")] = None,
+    allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
     """Make views rainy. gsrain recolor and gsrain reconstruct take DIR as --images.
 
     DIR/clear holds the views as they were: another program may change them, and --method images takes what it made.
     """
+    let_names_lead_outside(allow_outside)
     how, where = method or MethodOptions(), views or ViewOptions()
     settings, choice = how.settings, where.choice
     how.check()
@@ -49,12 +51,14 @@ def transfer(
     opened = source_views(source, choice, where.capture)
     model = open_transfer(how.method, settings, opened.surroundings)
     told = msgspec.to_builtins(settings, enc_hook=str) | msgspec.to_builtins(choice)
+    told["width_px"] = opened.width_px
     record = TransferRecord(how.method, opened.name, told, opened.to_world)
     rainy = write_transferred(output, model.transferred(opened.views), record, opened.mask)
-    numbers = {"method": how.method} | _followed(rainy, len(opened.views), sheet)
+    numbers = {"method": how.method, "width_px": opened.width_px} | _followed(rainy, len(opened.views), sheet)
     for note in numbers["notes"]:
         print(note)
-    print(f"{output}: {numbers['views']} rainy views of {opened.name} in {numbers['seconds']:.1f} s")
+    made = f"{numbers['views']} rainy views of {opened.name}"
+    print(f"{output}: {made}, {opened.width_px} px wide, in {numbers['seconds']:.1f} s")
     if sheet is not None:
         print(sheet)
     write_numbers(json, numbers)

@@ -30,7 +30,10 @@ class ViewOptions:
     capture: Annotated[Path | None, Parameter(help="Where a scene's recorded cameras come from.")] = None
     count: Annotated[int | None, Parameter(help="Number of views, evenly; default: 24, of a recording all.")] = None
     cameras: Annotated[str, Parameter(help="Only these cameras of the rig or recording, commas between.")] = ""
-    width: Annotated[int, Parameter(help="Width of pictures in px; a capture's are never enlarged.")] = 480
+    width: Annotated[
+        int | None,
+        Parameter(help="Width of pictures in px; a capture's are never enlarged. Default: their own, at most 960."),
+    ] = None
 
     @property
     def choice(self) -> ViewChoice:

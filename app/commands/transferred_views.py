@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from gsrain_engine.appearance.clear_view import ClearView
-from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras, chosen_views
+from gsrain_engine.appearance.views.choice import OWN_WIDTH_PX, ViewChoice, chosen_cameras, chosen_views
 from gsrain_engine.appearance.wet.surroundings import Surroundings
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.open_scene import open_scene
@@ -25,6 +25,8 @@ class SourceViews:
     surroundings: Surroundings
     to_world: Float64[np.ndarray, "4 4"]
     """Similarity from the units and axes of the scene or capture to the world."""
+    width_px: int
+    """Of the widest picture."""
     mask: Callable[[str], Bool[np.ndarray, "h w"] | None]
     """By name of a view, which pixels may be learned from; None means all."""
 
@@ -50,17 +52,17 @@ def _of_scene(source: str, choice: ViewChoice, capture: Path | None) -> SourceVi
     if choice.source == "recorded" and capture is None:
         raise ValueError("--views recorded needs --capture, where the cameras come from")
     scene = open_scene(source)
-    placed = chosen_cameras(scene, choice, None if capture is None else open_capture(capture))
-    return SourceViews(
-        scene.name, scene_views(scene, placed), SceneSurroundings(scene), scene.scene_to_world, lambda name: None
-    )
+    placed = chosen_cameras(scene, choice, None if capture is None else open_capture(capture), OWN_WIDTH_PX)
+    width_px = max(each.camera.width for each in placed)
+    views, around = scene_views(scene, placed), SceneSurroundings(scene)
+    return SourceViews(scene.name, views, around, scene.scene_to_world, width_px, lambda name: None)
 
 
 def _of_capture(source: Path, choice: ViewChoice) -> SourceViews:
     from gsrain_engine.appearance.views.capture_views import capture_views
     from gsrain_engine.appearance.wet.picture_surroundings import PictureSurroundings
 
-    assert choice.width_px is not None
+    most_px = choice.width_px or OWN_WIDTH_PX
     capture = chosen_views(open_capture(source), choice)
-    views = capture_views(capture, choice.width_px)
-    return SourceViews(capture.name, views, PictureSurroundings(), views.to_world, views.mask)
+    views, width_px = capture_views(capture, most_px), max(min(most_px, view.camera.width) for view in capture)
+    return SourceViews(capture.name, views, PictureSurroundings(), views.to_world, width_px, views.mask)

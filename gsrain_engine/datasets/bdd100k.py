@@ -21,6 +21,8 @@ from .named_problems import some_names
 _NAME = re.compile(r"[0-9a-f]{8}-[0-9a-f]{8}(-\d{7})?")
 _IMAGE_LAYOUTS = (".", "images", "images/*", "images/*/*", "bdd100k/images/*/*")
 _FOLDERS_UP = 4
+_FIRST = 20
+"""Pictures of a folder that tell its kind by their names."""
 _MOST_LABEL_FILES = 200_000
 
 
@@ -32,17 +34,29 @@ class _Labelled(msgspec.Struct):
 
 
 def recognizes_bdd100k(path: Path) -> bool:
-    """Whether the pictures in a folder, or in the usual folders below it, are named as those of BDD-100K."""
-    return any(_is_frame(file) for folder in _image_folders(path) for file in pictures_in(folder)[:20])
+    """Whether most of the first pictures in a folder, or in a usual one below it, are named as those of BDD-100K."""
+    return any(_holds_frames(pictures_in(folder)[:_FIRST]) for folder in _image_folders(path))
+
+
+def _holds_frames(files: list[Path]) -> bool:
+    return 2 * sum(map(_is_frame, files)) > len(files)
 
 
 def read_bdd100k(path: Path) -> Capture:
     """Read all frames at or below a folder, each standing by itself; their attributes where label files lie by.
 
-    Broken frames and label files are left out and named. Raises `CaptureError` where no frame is whole.
+    Pictures with other names, broken frames and label files are left out, counted and named. Raises `CaptureError`
+    where no frame is whole.
     """
-    files = [file for folder in _image_folders(path) for file in pictures_in(folder) if _is_frame(file)]
+    pictures = [file for folder in _image_folders(path) for file in pictures_in(folder)]
+    files = [file for file in pictures if _is_frame(file)]
+    others = [file.name for file in pictures if not _is_frame(file)]
     problems: list[str] = []
+    if others:
+        problems.append(
+            f"{len(others)} of {len(pictures)} pictures are left out, for they are not named as frames of BDD-100K "
+            f"(0000f77c-6257be58.jpg): {some_names(others)}."
+        )
     attributes = _attributes(path, {file.stem for file in files}, problems)
     return capture_without_poses(path, files, attributes, problems)
 

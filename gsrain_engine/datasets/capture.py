@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import PurePath
 from typing import Any, Literal
 
 import numpy as np
@@ -169,6 +170,12 @@ class Capture:
         doubled = {name for name in names if names.count(name) > 1} if len(set(names)) < len(names) else set[str]()
         if doubled:
             raise CaptureError(f"capture {self.name!r} has several views named {sorted(doubled)[0]!r}")
+        for name in names:
+            parts = PurePath(name.replace("\\", "/")).parts
+            if not parts or ".." in parts or parts[0].startswith("/") or "\0" in name:
+                raise CaptureError(
+                    f"capture {self.name!r}: {name!r} can't be the name of a view, which files are called by"
+                )
         object.__setattr__(self, "problems", tuple(printable(each, _LONGEST) for each in self.problems))
 
     def __len__(self) -> int:

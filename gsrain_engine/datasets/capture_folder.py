@@ -22,6 +22,7 @@ from gsrain_engine.scene.errors import SceneFormatError
 
 from .capture import Capture, CaptureError, Lens, View
 from .files.array_file import read_floats
+from .files.inside import check_inside
 from .files.json_file import read_json_object, read_json_rows
 from .files.picture_file import picture_size, read_color, read_labels, read_mask
 
@@ -43,6 +44,8 @@ _OTHER_PIXELS: dict[str, tuple[str, Callable[[Path], np.ndarray]]] = {
     "mask": ("mask.png", read_mask),
     "sky": ("sky.png", read_mask),
 }
+
+_ENDINGS = ("png", *(ending for ending, _ in _OTHER_PIXELS.values()))
 
 
 def write_views(folder: Path, views: Iterable[View]) -> Iterator[View]:
@@ -86,7 +89,9 @@ def read_capture_folder(path: Path) -> Capture:
     file = folder / CAMERAS
     views: list[View] = []
     problems: list[str] = []
-    for index, values in enumerate(read_json_rows(file)):
+    rows = read_json_rows(file)
+    check_inside(folder, (f"{row.get('name')}.{ending}" for row in rows for ending in _ENDINGS), file)
+    for index, values in enumerate(rows):
         try:
             views.append(_view(folder, values, f"{file}, view {index}"))
         except SceneFormatError as error:

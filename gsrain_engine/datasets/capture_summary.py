@@ -23,6 +23,8 @@ class SensorSummary:
     lens: str
     """OpenCV's model and its coefficients; empty where lines are straight."""
     exposure_ms: float
+    largest_px: tuple[int, int]
+    """Width and height of its largest picture, where the sizes differ; `width` and `height` are those of its first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +102,7 @@ def _sensor(views: list[View]) -> SensorSummary:
         float(np.degrees(edges.sum())),
         "" if view.lens is None else f"{view.lens.model} ({shown})",
         camera.exposure_s * 1e3,
+        max(((each.camera.width, each.camera.height) for each in views), key=lambda size: size[0] * size[1]),
     )
 
 

@@ -12,6 +12,7 @@ from gsrain_engine.scene.camera import Camera
 from .capture import Capture, CaptureError, View
 from .files.picture_file import picture_size, pictures_in, read_color
 from .named_problems import some_names
+from .nearest_kind import nearest_kind
 
 ASSUMED_HORIZONTAL_FOV_DEG = 60.0
 """Of cameras that nobody calibrated: between a phone's (about 65) and a narrow driving camera's (50)."""
@@ -30,7 +31,9 @@ def recognizes_image_folder(path: Path) -> bool:
 
 def read_image_folder(path: Path) -> Capture:
     """Read a folder of pictures; broken ones are left out and named. Raises `CaptureError` where none is whole."""
-    return capture_without_poses(path, pictures_in(_folder(path)))
+    near = nearest_kind(path)
+    problems = [] if near is None else [f"Read as pictures alone: nearest to the folder is {near}."]
+    return capture_without_poses(path, pictures_in(_folder(path)), problems=problems)
 
 
 def capture_without_poses(

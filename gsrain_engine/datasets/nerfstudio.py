@@ -1,5 +1,6 @@
 """nerfstudio's transforms.json, and that of instant-ngp and Blender: poses with OpenGL axes, turned into OpenCV's."""
 
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -11,6 +12,7 @@ from gsrain_engine.scene.camera import Camera
 
 from .capture import Capture, CaptureError, Lens, View
 from .files.array_file import read_floats
+from .files.inside import check_inside
 from .files.json_file import read_json_object
 from .files.picture_file import SUFFIXES, picture_size, read_color, read_mask, read_stored
 from .files.point_ply import read_point_ply
@@ -36,6 +38,7 @@ _MODELS: dict[str, Literal["opencv", "fisheye"]] = {
     "FISHEYE": "fisheye",
 }
 _DEPTH_UNIT_M = 1e-3
+_DEPTH_PATHS = ("depth_file_path", "depth_path")
 _WRONG = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
 
 
@@ -59,6 +62,7 @@ def read_nerfstudio(path: Path) -> Capture:
     once = {key: value for key, value in shared.items() if key != "frames"}
     merged: list[dict[str, Any]] = sorted(({**once, **frame} for frame in frames), key=_file_path)
     pictures = [_file_path(frame) for frame in merged]
+    check_inside(file.parent, _named_files(file, merged), file)
     views: list[View] = []
     problems: list[str] = []
     for frame, name, sensor in zip(merged, view_names(pictures), sensor_names(pictures), strict=True):
@@ -81,6 +85,14 @@ def read_nerfstudio(path: Path) -> Capture:
         up=up_of_cameras([view.camera for view in views]),
         problems=tuple(summed),
     )
+
+
+def _named_files(file: Path, frames: list[dict[str, Any]]) -> Iterator[str]:
+    """Every name of a file that the frames hold, pictures with the ending that Blender leaves out."""
+    for frame in frames:
+        yield _file_path(frame)
+        yield str(_picture(file, _file_path(frame)))
+        yield from (str(frame[key]) for key in ("mask_path", *_DEPTH_PATHS, "ply_file_path") if frame.get(key))
 
 
 def _view(file: Path, frame: dict[str, Any], name: str, sensor: str) -> View:

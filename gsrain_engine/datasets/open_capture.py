@@ -12,10 +12,12 @@ from .capture import Capture, CaptureError
 from .capture_folder import read_capture_folder, recognizes_capture_folder
 from .colmap.reader import read_colmap, recognizes_colmap
 from .dgp.reader import read_dgp, recognizes_dgp
+from .files.inside import OutsideError, outside_allowed
 from .files.reading_errors import WRONG_VALUES, what_is_wrong
 from .image_folder import read_image_folder, recognizes_image_folder
 from .kitti.odometry import read_kitti_odometry, recognizes_kitti_odometry
 from .kitti.raw import read_kitti_raw, recognizes_kitti_raw
+from .nearest_kind import nearest_kind
 from .nerfstudio import read_nerfstudio, recognizes_nerfstudio
 from .nuscenes.infos import read_nuscenes_infos, recognizes_nuscenes_infos
 from .nuscenes.reader import read_nuscenes, recognizes_nuscenes
@@ -56,14 +58,21 @@ FORMATS: tuple[CaptureFormat, ...] = (
 )
 
 
-def open_capture(path: Path | str) -> Capture:
-    """Read the capture that a path holds. Raises `CaptureError`, which names the file at fault, where that fails."""
+def open_capture(path: Path | str, *, allow_outside: bool | None = None) -> Capture:
+    """Read the capture that a path holds. Raises `CaptureError`, which names the file at fault, where that fails.
+
+    Files that lie outside the capture's folder and are named in its files are only read with `allow_outside`; None
+    leaves that to the context (`datasets.files.inside`), in which they are not.
+    """
     path = Path(path)
     found = capture_format(path)
     if found is None:
         raise CaptureError(f"{path}: {_why_not(path)}")
     try:
-        return found.read(path)
+        with outside_allowed(allow_outside):
+            return found.read(path)
+    except OutsideError:
+        raise
     except CaptureError as error:
         if path.name in str(error):
             raise
@@ -89,7 +98,9 @@ def _why_not(path: Path) -> str:
         beside = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
         close = difflib.get_close_matches(path.name, beside, n=1)
         return "no such file or folder" + (f"; did you mean {close[0]}?" if close else "")
-    return f"not a capture that is known; expected one of {', '.join(each.name for each in _formats())}"
+    near = nearest_kind(path)
+    nearest = f"; nearest is {near}" if near is not None else ""
+    return f"not a capture that is known{nearest}; expected one of {', '.join(each.name for each in _formats())}"
 
 
 def _formats() -> tuple[CaptureFormat, ...]:

@@ -20,7 +20,8 @@ def sequences_of(
 ) -> dict[str, FrameSequence]:
     """What a recording shows, by the names of its cameras: rig cameras where it names some, else one viewpoint.
 
-    `in_scene_time` says whether a path's times are the scene's own. Raises `ValueError` for what contradicts itself.
+    `in_scene_time` says whether a path's times are the scene's own. A still from a path without times is one of a
+    camera at rest. Raises `ValueError` for what contradicts itself.
     """
     recording.check()
     views: dict[str, Camera | CameraPath | MountedCamera] = {"": viewpoint}
@@ -40,6 +41,7 @@ def sequences_of(
             in_scene_time and isinstance(view, CameraPath),
             recording.supersampling,
             recording.motion_blur,
+            at_rest=recording.is_still and isinstance(view, CameraPath) and not view.is_timed,
         )
     return sequences
 

@@ -45,6 +45,8 @@ class FrameSequence:
     """Draw so many times wider and higher."""
     motion_blur: int = 1
     """Sub-frames over the exposure."""
+    at_rest: bool = False
+    """Whether the camera stands still while the shutter is open: nothing says how fast it goes along its path."""
 
     def time_s(self, number: int) -> float:
         """Moment of a frame, the middle of its exposure."""
@@ -72,7 +74,8 @@ class FrameSequence:
                 return Shot(self.camera, time_s)
             case CameraPath():
                 along = time_s if self.in_scene_time else float(self.camera.times_s[0]) + time_s
-                return Shot(self.camera.camera(along, self.width, self.height), time_s, self.camera.velocity(along))
+                velocity = None if self.at_rest else self.camera.velocity(along)
+                return Shot(self.camera.camera(along, self.width, self.height), time_s, velocity)
             case MountedCamera():
                 camera = self.camera.at(time_s).resized(self.width, self.height)
                 return Shot(camera, time_s, self.camera.velocity(time_s))
@@ -126,6 +129,8 @@ class FrameSequence:
         # At its ends a path has no speed beyond the keys: there the camera stands where it last had one.
         low, high = self._flight_s
         places = np.clip(moments, low, high) if low <= middle.time_s <= high else moments
+        if self.at_rest:
+            places = np.full(k, middle.time_s)
         return [
             replace(self.shot_at(float(place)), time_s=float(t), exposure_share=1 / k)
             for place, t in zip(places, moments, strict=True)

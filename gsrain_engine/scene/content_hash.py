@@ -7,7 +7,7 @@ from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.untrusted.limits import open_file
 
 from .formats.scene_folder import scene_folder_files
-from .open_scene import is_built_in, scene_folder_of, street_fingerprint
+from .open_scene import folder_to_read, is_built_in, street_fingerprint
 
 _DIGITS = 16
 
@@ -21,7 +21,7 @@ def scene_hash(name: str | None) -> str:
     if is_built_in(name):
         return street_fingerprint()
     path = Path(str(name))
-    folder = scene_folder_of(path)
+    folder = folder_to_read(path)
     if folder is None:
         if not path.is_file():
             raise SceneFormatError(path, "no such scene")

@@ -16,8 +16,9 @@ from gsrain_engine.scene.drawing_order import put_into_drawing_order
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.formats.known_files import KnownFiles
-from gsrain_engine.scene.formats.scene_files import SOG_FILE
+from gsrain_engine.scene.formats.scene_files import INNER_SCENE
 from gsrain_engine.scene.formats.scene_folder import SCENE_FILE, is_in_drawing_order
+from gsrain_engine.scene.formats.sog import is_sog_folder
 from gsrain_engine.scene.marks import UNMARKED, Marks
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import rows_of
@@ -43,7 +44,7 @@ def open_to_draw(name: Path | str | None, known: KnownFiles | None = None) -> Sc
     scene = open_scene(name, known)
     if is_built_in(name):  # the street is kept in that order
         return scene
-    folder = scene_folder_of(Path(str(name)))
+    folder = folder_to_read(Path(str(name)))
     if folder is not None and is_in_drawing_order(folder):
         return scene
     if folder is not None and known is not None:
@@ -55,6 +56,14 @@ def scene_folder_of(path: Path) -> Path | None:
     """The scene folder that a path names, by itself or by its `scene.json`; None for anything else."""
     folder = path.parent if path.name == SCENE_FILE else path
     return folder.resolve() if (folder / SCENE_FILE).is_file() else None
+
+
+def folder_to_read(path: Path) -> Path | None:
+    """The scene folder that is read for a path: the one that it names, or `scene` in what `gsrain street` has written.
+
+    None for anything else.
+    """
+    return scene_folder_of(path) or scene_folder_of(path / INNER_SCENE)
 
 
 def cached_street() -> Scene:
@@ -85,7 +94,7 @@ def is_built_in(name: Path | str | None) -> bool:
 
 
 def _is_scene(path: Path) -> bool:
-    return path.is_file() or scene_folder_of(path) is not None or (path / SOG_FILE).is_file()
+    return path.is_file() or scene_folder_of(path) is not None or is_sog_folder(path)
 
 
 def _put_into_order(scene: Scene) -> Scene:

@@ -60,6 +60,8 @@ class Scene:
     """From where it was looked at when it was saved, as plain values."""
     selections: Mapping[str, Mapping[str, Mask]] = field(default_factory=dict[str, Mapping[str, Mask]])
     """Selection sets by name; each by the keys of members."""
+    unit_is_assumed: bool = False
+    """Whether neither a file nor a person has said how long a unit is, so that it is only taken for a metre."""
 
     @property
     def scene_to_world(self) -> Float64[np.ndarray, "4 4"]:

@@ -30,6 +30,7 @@ from .files.screenshot_name import new_screenshot
 from .jobs.scene_job import SceneJob, SceneTask
 from .log import LogLines
 from .matching.matching_view import MatchingView
+from .questions import Answer, Question, nothing
 from .rain.rain_lab import RainLab
 from .rain.roof_search import RoofSearch
 from .rain.shower_view import ShowerView
@@ -186,6 +187,7 @@ class Session(Desk):
             self._roofs.look_at(self.scene)
         self.lab.poll()
         self.captures.poll(self)
+        self._ask_about_outside()
         self.matching.poll(self)
         self.drives.poll(self)
         for job in self.running_jobs:
@@ -258,6 +260,15 @@ class Session(Desk):
         if rain != self._other_rainfall.rain or weather is not self._other_rainfall.weather:
             self._other_rainfall = Rainfall.start(rain, weather=weather)
         return self._other_rainfall
+
+    def _ask_about_outside(self) -> None:
+        """Ask before files are read that lie outside of a capture's folder."""
+        if self.captures.refused is None:
+            return
+        (path, why), self.captures.refused = self.captures.refused, None
+        text = f"{why.partition('; --allow')[0]}. Read files outside of its folder?"
+        yes = Answer("Read them", lambda: self.captures.open(path, allow_outside=True), "Open it with those files.")
+        self.questions.ask(Question("Files outside of the capture", text, (yes, Answer("Cancel", nothing))))
 
     def _cancel_jobs(self, *, of_the_scene: bool = False) -> None:
         """Stop what runs; a recording has a copy of the document that it began with, a training knows no scene."""

@@ -1,6 +1,8 @@
 """`gsrain info CAPTURE` as a person runs it."""
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,11 @@ from PIL import Image
 
 from app.command_line import BAD_INPUT, run
 from colmap_files import write_binary, write_pictures
+from datasets.test_capture_folder import views as capture_views
+from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.session.files.opened import read_opened
+from small_scene import small_scene
 
 
 @pytest.fixture
@@ -89,3 +96,67 @@ def test_bad_input_ends_in_one_line(small: Path, tmp_path: Path, arguments, told
     error = capsys.readouterr().err
     assert told in error
     assert error.count("\n") == 1
+
+
+def test_the_folder_that_street_writes_is_scene_and_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_scene(small_scene("town"), tmp_path / "town" / "scene")
+    list(write_views(tmp_path / "town" / "images", capture_views()))
+    assert run(["info", str(tmp_path / "town"), "--json", str(tmp_path / "n.json")]) == 0
+    printed = capsys.readouterr().out
+    assert "capture folder, 2 views" in printed and "town: " in printed and "rig one: FRONT" in printed
+    numbers = json.loads((tmp_path / "n.json").read_text())
+    assert numbers["views"] == 2 and numbers["gaussians"] == small_scene().gaussian_count
+    still = ["render", str(tmp_path / "town"), "-o", str(tmp_path / "a.png"), "--size", "32x24", "--backend", "cpu"]
+    assert run(still) == 0
+    opened = read_opened(str(tmp_path / "town"))
+    assert opened.home == (tmp_path / "town" / "scene").resolve() and opened.scene.name == "town"
+    shutil.rmtree(tmp_path / "town" / "images")
+    assert run(["info", str(tmp_path / "town")]) == 0
+    assert "town: " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("columns", ["60", "200"])
+def test_names_are_printed_whole(
+    tmp_path: Path, columns: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    layer, long = small_scene().layers[0], "a layer of asphalt with a name that is longer than any terminal, " * 4
+    front = small_scene().rigs["one"][0]
+    rigs = {"a rig with many cameras": tuple(replace(front, name=f"CAMERA_OF_THE_ROOF_{k}") for k in range(8))}
+    write_scene(replace(small_scene(), layers=(replace(layer, name=long),), rigs=rigs), tmp_path / "scene")
+    assert run(["info", str(tmp_path / "scene")]) == 0
+    printed = capsys.readouterr().out
+    assert long in printed and ", ".join(f"CAMERA_OF_THE_ROOF_{k}" for k in range(8)) in printed
+    assert "..." not in printed and "\u2026" not in printed
+    folder = "front_left_camera_of_the_roof_" * 6
+    write_binary(tmp_path / "garden/sparse/0", (f"{folder}/a.png", "right/b.png"))
+    write_pictures(tmp_path / "garden/images", (f"{folder}/a.png", "right/b.png"))
+    assert run(["info", str(tmp_path / "garden")]) == 0
+    assert folder in capsys.readouterr().out
+
+
+def test_a_unit_that_nobody_gave_is_said_to_be_assumed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, folder = tmp_path / "wall.ply", tmp_path / "wall"
+    write_scene(small_scene(), file)
+    numbers = tmp_path / "n.json"
+    for path, options in ((file, []), (folder, ["convert"])):
+        if options:
+            assert run(["convert", str(file), str(folder)]) == 0
+        assert run(["info", str(path), "--json", str(numbers)]) == 0
+        assert "1 unit = 1 m (assumed), up" in capsys.readouterr().out
+        assert json.loads(numbers.read_text())["metres_per_unit_is_assumed"]
+    assert run(["convert", str(folder), str(tmp_path / "metric"), "--metres-per-unit", "1"]) == 0
+    assert run(["info", str(tmp_path / "metric")]) == 0
+    assert "1 unit = 1 m, up" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("meta", ['{"title": "photos"}', "[]", "{", '{"means": 1' + " " * (1 << 20) + "}"])
+def test_a_meta_json_alone_is_no_sog(tmp_path: Path, meta: str, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "photos"
+    write_pictures(folder, ("a.png", "b.png"))
+    (folder / "meta.json").write_text(meta)
+    assert run(["info", str(folder)]) == 0
+    assert "image folder, 2 views" in capsys.readouterr().out
+    assert run(["render", str(folder), "-o", str(tmp_path / "a.png")]) == BAD_INPUT
+    error = capsys.readouterr().err
+    assert "its meta.json is none of SOG" in error and error.count("\n") == 1

@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 from app.command_line import run
+from colmap_files import cut_rows
 from gsrain_engine.datasets.capture import View
 from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.session.jobs import torch_extra
 from tests.reconstruct.changed_street import street_and_pictures
@@ -55,6 +57,22 @@ def test_pictures_without_cameras_are_matched_by_name_and_can_replace_the_clear_
     clear, scene = read_scene(files / "clear"), read_scene(new)
     assert scene.member("layers/street").wet_sh is None
     assert np.abs(scene.member("layers/street").gaussians.sh - clear.member("layers/street").gaussians.sh).max() > 0.1
+
+
+def test_pictures_of_different_sizes_go_all_the_way(files, tmp_path):
+    """Transfer, recolouring and evaluation of what undistortion by one camera a picture makes of a capture."""
+    views = cut_rows(open_capture(files / "capture"))
+    list(write_views(tmp_path / "photos", views))
+    rainy, photos = str(tmp_path / "rainy"), str(tmp_path / "photos")
+    assert run(["transfer", photos, "-o", rainy, "--sheet", str(tmp_path / "sheet.png")]) == 0
+    assert [view.camera.height for view in open_capture(rainy)] == [view.camera.height for view in views]
+    wet, numbers = tmp_path / "wet", tmp_path / "numbers.json"
+    assert run(["recolor", str(files / "clear"), "--images", rainy, "-o", str(wet), "--iterations", "2",
+                "--held-out", "5", "--json", str(numbers)]) == 0  # fmt: skip
+    assert json.loads(numbers.read_text())["views"] == len(views) - 1
+    assert run(["evaluate", "images", rainy, photos, "--report", str(tmp_path / "images.html")]) == 0
+    assert run(["evaluate", "fid", photos, rainy, "--extractor", "pixels16", "--resamples", "20"]) == 0
+    assert run(["info", photos, "--overlay", str(tmp_path / "overlay.png")]) == 0
 
 
 @pytest.mark.parametrize(

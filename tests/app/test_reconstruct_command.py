@@ -1,15 +1,21 @@
 """`gsrain reconstruct`, run as a person would run it: a capture folder in, a scene, a report and numbers out."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 pytest.importorskip("torch")
 
 from app.command_line import run
+from colmap_files import cut_rows, write_undistorted
 from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.reconstruct.training.start import OwnBody
 from gsrain_engine.scene.formats import read_scene
+from reconstruct.drive_capture import drive_capture
 from small_capture import small_capture
 
 QUICK = ["--steps", "12", "--gaussians", "1500", "--device", "cpu"]
@@ -41,15 +47,45 @@ def test_a_capture_becomes_a_scene(capture: Path, tmp_path: Path, capsys: pytest
     assert str(scene) in printed
 
 
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What image_undistorter writes of photos with a camera each: every one is a row higher than the one before."""
+    folder = tmp_path_factory.mktemp("photos") / "dense"
+    drive = drive_capture(5, step_m=0.7)
+    write_undistorted(folder, cut_rows(drive), np.concatenate([sweep.points_m[::4] for sweep in drive.sweeps]))
+    return folder
+
+
+def test_pictures_may_have_different_sizes(photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    numbers = tmp_path / "numbers.json"
+    asked = ["reconstruct", str(photos), "-o", str(tmp_path / "scene"), *QUICK, "--json", str(numbers)]
+    assert run(asked) == 0
+    found = json.loads(numbers.read_text())
+    assert found["views"] == 5
+    assert found["own_body"] == {"searched": False, "reason": "the capture is no drive", "shares": {}}
+    assert "Own body: not looked for (the capture is no drive)" in capsys.readouterr().out
+    assert "not looked for (the capture is no drive)" in (tmp_path / "scene.report.html").read_text()
+    assert run([*asked, "--own-body"]) == 0
+    assert json.loads(numbers.read_text())["own_body"]["searched"]
+    assert "Own body: looked for (asked for)" in capsys.readouterr().out
+    assert run(["info", str(photos)]) == 0
+    assert "96x60 to 96x64" in capsys.readouterr().out
+
+
+def test_the_own_body_is_looked_for_in_a_drive(capture: Path, tmp_path: Path) -> None:
+    drive = small_capture()
+    assert OwnBody.planned(drive, None).searched and drive.ego is not None
+    assert not OwnBody.planned(replace(drive, ego=None), None).searched
+    assert not OwnBody.planned(drive, False).searched
+    assert OwnBody.planned(replace(drive, ego=None), True).searched
+
+
 def test_nothing_held_out_is_said(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["reconstruct", str(capture), "-o", str(tmp_path / "scene"), *QUICK, "--held-out", "0"]) == 0
     assert "No view was held out" in capsys.readouterr().out
 
 
 def test_other_pictures_take_the_place_of_the_own_ones(capture: Path, tmp_path: Path) -> None:
-    import numpy as np
-    from PIL import Image
-
     images = tmp_path / "red"
     images.mkdir()
     for view in small_capture():

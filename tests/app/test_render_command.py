@@ -8,8 +8,10 @@ import pytest
 from PIL import Image
 
 from app.command_line import BAD_INPUT, run
-from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.paths.camera_path import CameraPath
+from gsrain_engine.scene.paths.files import read_camera_path
 from small_scene import small_scene
 
 
@@ -71,3 +73,98 @@ def test_bad_options_end_with_one_line_and_code_2(project, tmp_path, capsys, opt
     assert "\n" not in said
     assert words in said
     assert not (tmp_path / "a.mp4").exists()
+
+
+@pytest.fixture
+def photos(tmp_path):
+    """3DGS's cameras.json: five photos without times, 3 m one from the other."""
+    rows = [
+        {"img_name": f"{k}", "width": 64, "height": 48, "position": [3.0 * k, 0.0, 2.0], "fx": 800, "fy": 800,
+         "rotation": [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]}
+        for k in range(5)
+    ]  # fmt: skip
+    (tmp_path / "cameras.json").write_text(json.dumps(rows))
+    return tmp_path / "cameras.json"
+
+
+def test_a_still_of_photos_without_times_is_one_of_a_camera_at_rest(project, photos, tmp_path, capsys):
+    options = ("--exposure", "0.02", "--json", str(tmp_path / "n.json"))
+    flown = ("--camera-path", str(photos), "--rain", "50", *options)
+    assert render(project, tmp_path / "still.npy", *flown) == 0
+    assert "photos without times: the camera is at rest" in capsys.readouterr().out
+    told = json.loads((tmp_path / "n.json").read_text())
+    assert (told["speed_m_s"], told["speed_is_assumed"]) == (0.0, True)
+    camera = read_camera_path(photos).camera(0.0, 64, 48)
+    (tmp_path / "camera.json").write_text(json.dumps(camera.to_json()))
+    standing = ("--camera", str(tmp_path / "camera.json"), "--rain", "50", *options)
+    assert render(project, tmp_path / "standing.npy", *standing) == 0
+    assert render(project, tmp_path / "fast.npy", *flown, "--speed", "14") == 0
+    still, fast, same = (np.load(tmp_path / f"{name}.npy") for name in ("still", "fast", "standing"))
+    slanted = np.abs(fast - same).max()
+    assert slanted > 0.003 and np.abs(still - same).max() < 0.01 * slanted
+    for name, asked in (("flown", flown), ("stood", standing)):
+        assert render(project, tmp_path / f"{name}.npy", *asked, "--motion-blur", "2") == 0
+    flown_blurred, stood_blurred = np.load(tmp_path / "flown.npy"), np.load(tmp_path / "stood.npy")
+    assert np.abs(flown_blurred - stood_blurred).max() < 0.01 * slanted
+
+
+def test_a_flight_along_photos_without_times_takes_walking_pace_or_a_speed(project, photos, tmp_path, capsys):
+    numbers = tmp_path / "n.json"
+    base = ("--camera-path", str(photos), "--fps", "1", "--rain", "0", "--json", str(numbers))
+    assert render(project, tmp_path / "walk", *base) == 0
+    assert "walking pace, 1.4 m/s, is assumed" in capsys.readouterr().out
+    told = json.loads(numbers.read_text())
+    assert (told["frames"], told["speed_m_s"], told["speed_is_assumed"]) == (9, 1.4, True)  # 12 m
+    assert render(project, tmp_path / "drive", *base, "--speed", "3") == 0
+    told = json.loads(numbers.read_text())
+    assert (told["frames"], told["speed_m_s"], told["speed_is_assumed"]) == (4, 3.0, False)
+    assert "walking" not in capsys.readouterr().out
+    assert render(project, tmp_path / "own", "--fps", "2", "--json", str(numbers)) == 0
+    assert json.loads(numbers.read_text())["speed_m_s"] is None  # that path has times of its own
+    assert render(project, tmp_path / "own", "--fps", "2", "--speed", "1.5", "--json", str(numbers)) == 0
+    assert json.loads(numbers.read_text())["frames"] == 10  # 6 m in 4 s, which begin at 1 s
+
+
+def test_a_frame_of_a_path_is_a_still(project, tmp_path, capsys):
+    assert render(project, tmp_path / "all", "--fps", "4") == 0
+    assert render(project, tmp_path / "still.png", "--fps", "4", "--frame", "6") == 0
+    assert (tmp_path / "still.png").read_bytes() == (tmp_path / "all" / "000006.png").read_bytes()
+
+
+def test_a_frame_of_the_swing_around_a_scene_is_a_still(project, tmp_path):
+    alone = tmp_path / "alone"
+    write_scene(replace(read_scene(project), path=None, ego=None, rigs={}), alone)
+    assert render(alone, tmp_path / "all", "--fps", "1", "--to", "4", "--rain", "0") == 0
+    assert render(alone, tmp_path / "still.png", "--fps", "1", "--frame", "2", "--rain", "0") == 0
+    assert (tmp_path / "still.png").read_bytes() == (tmp_path / "all" / "000002.png").read_bytes()
+    assert render(alone, tmp_path / "front.png", "--rain", "0") == 0
+    assert (tmp_path / "front.png").read_bytes() != (tmp_path / "still.png").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--frame", "61"], "--frame 61: there are frames 0 to 60 at 30 frames a second"),
+        (["--camera", "CAMERA", "--frame", "3"], "--frame 3: a still from --camera has no other frame; --time sets"),
+        (["--camera", "CAMERA", "--speed", "3"], "--speed 3: only a camera path has one"),
+        (["--speed", "0"], "--speed 0: must be within 0.001..1000 m/s"),
+        (["--cameras", "one", "--speed", "3"], "--speed 3: only a camera path has one"),
+    ],
+)
+def test_frames_and_speeds_that_make_no_sense(project, tmp_path, capsys, options, words):
+    camera = Camera.from_fov(64, 48, 50.0, np.eye(4))
+    (tmp_path / "camera.json").write_text(json.dumps(camera.to_json()))
+    asked = [str(tmp_path / "camera.json") if each == "CAMERA" else each for each in options]
+    assert render(project, tmp_path / "a.png", *asked) == BAD_INPUT
+    said = capsys.readouterr().err.strip()
+    assert words in said and "\n" not in said
+
+
+def test_an_ego_drives_along_photos_at_walking_pace_or_a_speed(project, photos, tmp_path, capsys):
+    for name, asked, seconds in (("walk", [], 12 / 1.4), ("drive", ["--speed", "6"], 2.0)):
+        assert run(["convert", str(project), str(tmp_path / name), "--drive", str(photos), *asked]) == 0
+        assert ("walking pace" in capsys.readouterr().out) is (not asked)
+        ego = read_scene(tmp_path / name).ego
+        assert ego is not None and ego.times[-1] == pytest.approx(seconds, abs=0.01)
+    assert run(["convert", str(project), str(tmp_path / "none"), "--speed", "6"]) == BAD_INPUT
+    assert "--speed 6: is that of --drive" in capsys.readouterr().err

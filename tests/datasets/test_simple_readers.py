@@ -182,3 +182,18 @@ def test_a_folder_that_may_not_be_looked_into_is_no_capture(tmp_path: Path, monk
     monkeypatch.setattr("gsrain_engine.datasets.image_folder.pictures_in", refuse)
     with pytest.raises(CaptureError, match="not a capture that is known"):
         open_capture(tmp_path)
+
+
+def test_what_a_bdd_folder_leaves_out_is_counted_and_named(tmp_path: Path) -> None:
+    frames = tuple(f"0000f77c-6257be5{k}.jpg" for k in range(4))
+    write_pictures(tmp_path, (*frames, "holiday.jpg", "cat.png"))
+    capture = open_capture(tmp_path)
+    assert len(capture) == 4
+    told = next(each for each in capture.problems if "not named" in each)
+    assert told.startswith("2 of 6 pictures are left out") and "cat.png" in told and "holiday.jpg" in told
+
+
+def test_a_few_frames_of_bdd_among_other_pictures_leave_none_out(tmp_path: Path) -> None:
+    write_pictures(tmp_path, ("0000f77c-6257be58.jpg", "a.jpg", "b.jpg", "c.jpg"))
+    assert getattr(capture_format(tmp_path), "name", "") == "image folder"
+    assert len(open_capture(tmp_path)) == 4

@@ -1,15 +1,17 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gsrain_engine.datasets.capture import View
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.pixels.measured_depth import completed_depths, measured_depths
 from gsrain_engine.datasets.pixels.sky_pixels import sky_masks
 from gsrain_engine.datasets.prepared import prepared
 from gsrain_engine.reconstruct.beginning.ego_mask import ego_masks, without_ego
 
-from .drive_capture import HEIGHT, drive_capture
+from .drive_capture import HEIGHT, WIDTH, drive_capture
 
 
 def masks_of(capture):
@@ -39,9 +41,38 @@ def test_views_lose_the_bonnet(caplog: pytest.LogCaptureFixture) -> None:
     capture = drive_capture(6, bonnet=12)
     depths = completed_depths(capture, capture.views, measured_depths(capture, capture.views))
     with caplog.at_level("INFO", logger="gsrain"):
-        views = without_ego(capture.views, depths)
+        views, shares = without_ego(capture.views, depths)
+    assert shares.keys() == {"FRONT"} and 12 / HEIGHT - 0.07 < shares["FRONT"] < 12 / HEIGHT + 0.07
     assert "FRONT" in caplog.text
     assert all(view.mask is not None and not view.mask[-8:].any() and view.mask[: HEIGHT // 2].all() for view in views)
+
+
+def without_top(view: View, rows: int) -> View:
+    camera = replace(view.camera, height=view.camera.height - rows, cy=view.camera.cy - rows)
+    return replace(view, camera=camera, image_source=view.image[rows:])
+
+
+def test_sizes_may_differ_by_a_few_rows() -> None:
+    """What undistortion by one camera a picture makes of the pictures of one lens."""
+    capture = drive_capture(6, bonnet=12)
+    views = tuple(without_top(view, k % 4) for k, view in enumerate(capture))
+    depths = completed_depths(capture, views, measured_depths(capture, views))
+    ready, shares = without_ego(views, depths)
+    assert shares.keys() == {"FRONT"}
+    for view in ready:
+        assert view.mask is not None and view.mask.shape == (view.camera.height, WIDTH)
+        assert not view.mask[-8:].any() and view.mask[: HEIGHT // 2].all()
+
+
+def test_a_picture_that_was_turned_is_left_alone() -> None:
+    capture = drive_capture(7, bonnet=12)
+    odd = replace(
+        capture[3], camera=replace(capture[3].camera, width=40, cx=20.0), image_source=capture[3].image[:, :40]
+    )
+    views = (*capture.views[:3], odd, *capture.views[4:])
+    depths = completed_depths(capture, views, measured_depths(capture, views))
+    ready, shares = without_ego(views, depths)
+    assert shares.keys() == {"FRONT"} and ready[3] is odd
 
 
 def test_real_bonnets(test_data: Path) -> None:

@@ -177,5 +177,6 @@ def test_the_recorded_way_goes_through_the_cameras_of_one_sensor():
     assert np.allclose(way.camera(0.0, 96, 64).world_to_camera, capture[0].camera.world_to_camera, atol=1e-9)
     still = tuple(replace(view, time_s=0.0) for view in capture)
     again = recorded_path(still)
-    assert again is not None and again.times_s.tolist() == [0, 1, 2, 3]
+    assert again is not None and not again.is_timed and way.is_timed
+    assert again.times_s == pytest.approx(np.arange(4) / 1.4), "a walk: nobody knows how fast it was"
     assert recorded_path(still[:1]) is None

@@ -29,5 +29,11 @@ def test_what_the_command_street_writes_does_not_stand_in_the_way(here):
 @pytest.mark.parametrize("file", ["street", "street/meta.json", "street/scene.json"])
 def test_a_file_that_may_be_a_scene_is_looked_at(here, file):
     (here / file).parent.mkdir(exist_ok=True)
-    (here / file).write_text("{}")
+    (here / file).write_text('{"means": {}}')
     assert not is_built_in("street")
+
+
+def test_a_meta_json_that_is_none_of_sog_does_not_stand_in_the_way(here):
+    (here / "street").mkdir()
+    (here / "street" / "meta.json").write_text("{}")
+    assert is_built_in("street")

@@ -36,6 +36,7 @@ _PRESETS = {
 }
 _NUMBERS = {"steps": 50, "width_px": 16, "gaussians": 5000, "held_out": 1}
 """Whole numbers that are shown, each with the step of its buttons."""
+_OWN_BODY: dict[str, bool | None] = {"where it is a drive": None, "look for it": True, "don't look": False}
 _RECONSTRUCT_HELP = (
     "Fit Gaussians to the capture in the background. Snapshots come into the view meanwhile;\n"
     "undo brings the present scene back. A report shows the held-out views."
@@ -63,13 +64,13 @@ def reconstruct_fields(session: Session) -> None:
     if has_torch():
         _settings()
         if _button("Reconstruct", _RECONSTRUCT_HELP, why_not):
-            session.start_task(Reconstruction(captures.path, _chosen.settings))
+            session.start_task(Reconstruction(captures.path, _chosen.settings, allow_outside=captures.allows_outside))
     else:
         imgui.text_wrapped(f"To reconstruct, torch is needed, which is not installed: {HOW_TO_GET_TORCH}")
     if not session.scene.gaussian_count:
         why_not = why_not or "There is no scene yet whose colours could be solved for."
     if _button("Recolour to these pictures", _RECOLOR_HELP, why_not):
-        session.start_task(Recoloring(session.scene, session.files.known, captures.path))
+        _recolor(session, captures.path, [])
     if _button("Recolour to other pictures...", _RECOLOR_OTHERS_HELP, why_not):
         ask_what_to_open("Pictures to recolour to (folder)", "", partial(_recolor, session, captures.path))
     if newest is not None:
@@ -103,7 +104,8 @@ def _newest(session: Session) -> tuple[int, SceneJob] | None:
 
 
 def _recolor(session: Session, capture: Path, chosen: list[Path]) -> None:
-    session.start_task(Recoloring(session.scene, session.files.known, capture, chosen[0]))
+    images, allowed = chosen[0] if chosen else None, session.captures.allows_outside
+    session.start_task(Recoloring(session.scene, session.files.known, capture, images, allow_outside=allowed))
 
 
 def _settings() -> None:
@@ -112,6 +114,7 @@ def _settings() -> None:
         _number(name, step)
     for name in ("density", "sh_degree"):
         _choice(name)
+    _own_body()
 
 
 def _preset() -> None:
@@ -142,6 +145,16 @@ def _choice(name: str) -> None:
     imgui.set_item_tooltip(info.help)
     if changed:
         _set(name, choices[at])
+
+
+def _own_body() -> None:
+    info = field_info("own_body", TrainingSettings)
+    plain_label(info.title, info.help)
+    values = list(_OWN_BODY.values())
+    changed, at = imgui.combo("##own_body", values.index(_chosen.settings.own_body), list(_OWN_BODY))
+    imgui.set_item_tooltip(info.help)
+    if changed:
+        _set("own_body", values[at])
 
 
 def _set(name: str, value: object) -> None:

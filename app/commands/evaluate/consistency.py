@@ -19,7 +19,7 @@ from gsrain_engine.render.pictures import write_sheet
 from gsrain_engine.scene.content_hash import file_hash
 
 from ...console import Console, print
-from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
+from ..arguments import AllowOutside, JsonFileOrScreen, let_names_lead_outside, words_go_to, write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar
 from .consistency_numbers import print_agreements, report_of
@@ -52,6 +52,7 @@ def consistency(
     report: Annotated[
         Path | None, Parameter(help="Also write a page of HTML with that picture, and the numbers as JSON beside it.")
     ] = None,
+    allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
     """Warp neighbouring views onto each other by their depth, and compare: before a transfer, and after it.
@@ -60,6 +61,7 @@ def consistency(
     water move with the eye, so that errors outside the water film are told as well. Errors are the root of the mean
     square over matched pixels, in levels of 255; "per contrast" divides each by its picture's contrast.
     """
+    let_names_lead_outside(allow_outside)
     _check(folders, neighbours, film, sheet_pairs)
     check_writable(sheet, report, json)
     compared = [open_compared(folder, width) for folder in folders]

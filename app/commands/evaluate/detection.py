@@ -13,7 +13,7 @@ from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.evaluate.detection.detector import Detector, open_detector
 
 from ...console import Console, print
-from ..arguments import JsonFile, write_numbers
+from ..arguments import AllowOutside, JsonFile, let_names_lead_outside, write_numbers
 from ..outputs import check_writable, hold
 from ..progress import progress_bar
 from .detection_memory import opened_memory
@@ -73,6 +73,7 @@ def detection(
         Parameter(name=["--output", "-o"], help="Folder for tables (CSV, Parquet), figures, report.html and numbers."),
     ] = None,
     video: Annotated[Path | None, Parameter(help="MP4 or WebM: the views in each rain with what was found.")] = None,
+    allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
     """Measure what rain does to object detectors: confidence, boxes, classes and average precision by intensity.
@@ -83,6 +84,7 @@ def detection(
     against anybody who finds them. With --output, what is finished is kept there: the same command goes on after a
     stop, and more seeds, intensities or detectors only add to it.
     """
+    let_names_lead_outside(allow_outside)
     _check_installed()
     intensities = _intensities(rain)
     _check(seeds=seeds, frames=frames, width=width, first=first, last=last)

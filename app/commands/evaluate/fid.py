@@ -20,7 +20,7 @@ from gsrain_engine.evaluate.report.report_file import write_report
 from gsrain_engine.evaluate.report.run_report import ReportTable, RunReport
 
 from ...console import Console, Table, bold, print
-from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
+from ..arguments import AllowOutside, JsonFileOrScreen, let_names_lead_outside, words_go_to, write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar
 from .run_facts import run_facts, set_hash, told_facts, write_beside
@@ -65,6 +65,7 @@ def fid(
     report: Annotated[
         Path | None, Parameter(help="Also write a page of HTML, with the numbers as JSON beside it.")
     ] = None,
+    allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
     """Compare sets of pictures as distributions: FID with KID beside it, both with intervals of 95 %.
@@ -72,6 +73,7 @@ def fid(
     FID of few pictures is too high: "same" says what it would be if both sets came from one distribution. KID is
     not, and is 0 then. Other extractors give distances under names of their own: FD- and KD-.
     """
+    let_names_lead_outside(allow_outside)
     names = [name.strip() for name in extractor.split(",")]
     _check(names, weights, resamples)
     check_writable(report, json)

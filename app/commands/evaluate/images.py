@@ -23,7 +23,7 @@ from gsrain_engine.evaluate.report.report_file import write_report
 from gsrain_engine.evaluate.report.run_report import RunReport
 
 from ...console import Console, Table, bold, print
-from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
+from ..arguments import AllowOutside, JsonFileOrScreen, let_names_lead_outside, words_go_to, write_numbers
 from ..outputs import check_writable
 from ..progress import progress_bar
 from .perceived import perceived_distance
@@ -52,12 +52,14 @@ def images(
     report: Annotated[
         Path | None, Parameter(help="Also write a page of HTML with the pictures, and the numbers as JSON beside it.")
     ] = None,
+    allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
     """Measure how close pictures are to those of the same names: PSNR, SSIM and LPIPS, each with its mean and interval.
 
     PSNR in dB and SSIM (at most 1) are higher for closer pictures, LPIPS (0 for equal ones) is lower.
     """
+    let_names_lead_outside(allow_outside)
     check_writable(report, json)
     first, second = open_capture(shown), open_capture(truth)
     others = {view.name: view for view in second}

@@ -20,7 +20,7 @@ from gsrain_engine.untrusted.explained_errors import converted
 from gsrain_engine.untrusted.plain_values import read_whole, yaml_values
 
 from ...console import Console
-from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
+from ..arguments import AllowOutside, JsonFileOrScreen, let_names_lead_outside, words_go_to, write_numbers
 from ..outputs import check_writable, hold
 from ..progress import progress_bar
 from ..sources import names_scene
@@ -63,6 +63,7 @@ def lidar(
     ] = None,
     reflectance: Annotated[float, Parameter(help="Near-infrared reflectance of all things in a scene.")] = 0.2,
     write_sweeps: Annotated[bool, Parameter(help="Write each sweep in rain (.npz).")] = True,
+    allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
     """Rain on a lidar: returns kept, lost and made up, by range, over intensities and seeds.
@@ -70,6 +71,7 @@ def lidar(
     Rain takes light on both ways (beta(R) of the haze), drops of the same field answer near the car, wet road mirrors.
     A capture's own sweeps are taken as those of clear weather. In a scene a virtual sensor stands on the ego's roof.
     """
+    let_names_lead_outside(allow_outside)
     intensities = _intensities(rain)
     for name, count, most in (("--seeds", seeds, _MOST_SEEDS), ("--sweeps", sweeps, _MOST_SWEEPS)):
         if not 1 <= count <= most:

@@ -28,7 +28,7 @@ from gsrain_engine.session.jobs.torch_extra import HOW_TO_GET_DIFFUSION, require
 from gsrain_engine.shipped_configs import shipped_names
 
 from ...console import Console, print
-from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
+from ..arguments import AllowOutside, JsonFileOrScreen, let_names_lead_outside, words_go_to, write_numbers
 from ..outputs import check_writable, hold
 from ..progress import followed
 from ..sources import names_scene
@@ -51,6 +51,7 @@ def transfers(
     only: Annotated[str, Parameter(help="Only these of its methods, by name, commas between.")] = "",
     device: Annotated[Literal["cpu", "cuda"], Parameter(help="Where torch computes features.")] = "cpu",
     trust: Trust = False,
+    allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
     """Make the same views rainy by several methods, and compare each with real rainy pictures.
@@ -58,6 +59,7 @@ def transfers(
     FID (or its like) and KID with intervals of 95 %, whether neighbouring views still agree, seconds, and a figure.
     Methods whose pictures stand in DIR, made in the same way, are not run again.
     """
+    let_names_lead_outside(allow_outside)
     told = with_trust(lambda: load_comparison(comparison), trust)
     names = tuple(name.strip() for name in only.split(",") if name.strip())
     told = told.only(names) if names else told

@@ -21,7 +21,11 @@ Source = Literal["auto", "recorded", "rig", "path", "around"]
 USUAL_COUNT = 24
 """Views where a person says nothing: enough for a street of 100 m."""
 USUAL_PIXELS = 480 * 320
-"""Size of a picture, whatever its shape, where no width is asked for."""
+"""Size of a picture, whatever its shape, of a quick look: where no width is asked for."""
+OWN_WIDTH_PX = 960
+"""Commands take pictures as wide as they are, up to this, where no width is asked for."""
+_PATH_PX = (960, 640)
+"""Width and height of views along a camera path, which has no pictures of its own."""
 
 
 class ViewChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -68,13 +72,17 @@ class ViewChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     ] = ()
 
 
-def chosen_cameras(scene: Scene, choice: ViewChoice, capture: Capture | None = None) -> list[PlacedCamera]:
+def chosen_cameras(
+    scene: Scene, choice: ViewChoice, capture: Capture | None = None, own_width_px: int | None = None
+) -> list[PlacedCamera]:
     """Place cameras in a scene as chosen; names are unique.
 
     Args:
         scene: What is looked at.
         choice: From where.
         capture: The scene's recording, whose world is the scene's own units and axes.
+        own_width_px: Where no width is chosen, pictures are as wide as their cameras', up to this; None makes them
+            small instead (`ViewChoice.width_px`).
 
     Raises:
         ValueError: Where the scene has no such views.
@@ -88,6 +96,8 @@ def chosen_cameras(scene: Scene, choice: ViewChoice, capture: Capture | None = N
         placed = _on_the_path(scene, choice.count or USUAL_COUNT)
     else:
         placed = around_the_middle(scene, choice.count or USUAL_COUNT)
+    if choice.width_px is None and own_width_px is not None:
+        return [each.at_width(min(own_width_px, each.camera.width)) for each in placed]
     return [each.at_width(choice.width_px or _usual_width(each)) for each in placed]
 
 
@@ -125,7 +135,7 @@ def _on_the_path(scene: Scene, count: int) -> list[PlacedCamera]:
     if path is None:
         raise ValueError(f"scene {scene.name!r} has no camera path")
     times = _evenly_timed(path, count)
-    cameras = [path.camera(t, 480, 320).moved(scene.scene_to_world) for t in times]
+    cameras = [path.camera(t, *_PATH_PX).moved(scene.scene_to_world) for t in times]
     return [PlacedCamera(f"path_{i:03d}", camera, t) for i, (camera, t) in enumerate(zip(cameras, times, strict=True))]
 
 

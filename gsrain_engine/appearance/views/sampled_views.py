@@ -24,7 +24,7 @@ def around_the_middle(scene: Scene, count: int) -> list[PlacedCamera]:
         ring = middle + _RING * reach * outward + np.array([0, 0, 0.3 * reach])
         eye, target = (middle, middle + outward) if i % 2 else (ring, middle)
         pose = look_at(eye, target, np.array([0.0, 0.0, 1.0]))
-        placed.append(PlacedCamera(f"around_{i:03d}", Camera.from_fov(480, 320, _FIELD_OF_VIEW_DEG, pose)))
+        placed.append(PlacedCamera(f"around_{i:03d}", Camera.from_fov(960, 640, _FIELD_OF_VIEW_DEG, pose)))
     return placed
 
 

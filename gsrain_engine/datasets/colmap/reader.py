@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..capture import Capture, CaptureError, View
+from ..files.inside import check_inside
 from ..files.picture_file import picture_size, read_color, read_mask
 from ..geometry.rigid_poses import rigid_from_quaternion
 from ..geometry.scaled_camera import camera_of_picture, checked_camera
@@ -40,7 +41,11 @@ def read_colmap(path: Path) -> Capture:
         raise CaptureError(f"{model_folder}: the model has no registered image")
     unread = some_names([str(each) for each in others])
     problems = [f"Of several models {model_folder} is the largest; unread: {unread}."] if others else []
-    folder = _image_folder(path, model_folder, model)
+    names_file = model_folder / ("images.bin" if (model_folder / "images.bin").is_file() else "images.txt")
+    folder = _image_folder(path, model_folder, model, names_file)
+    check_inside(folder, (image.name for image in model.images), names_file)
+    masks = (_mask_file(folder, image.name) for image in model.images)
+    check_inside(folder.parent, (str(mask) for mask in masks if mask is not None), names_file)
     images = sorted(model.images, key=lambda image: image.name)
     pictures = [image.name for image in images]
     views: list[View] = []
@@ -125,10 +130,11 @@ def _check_parameters(folder: Path, camera: ColmapCamera) -> None:
         raise CaptureError(f"{folder}: camera {camera.id} has {counted}")
 
 
-def _image_folder(path: Path, model_folder: Path, model: ColmapModel) -> Path:
+def _image_folder(path: Path, model_folder: Path, model: ColmapModel, names_file: Path) -> Path:
     """Where the pictures lie: beside the model or above it, or in any other folder of `path`.
 
-    It is the one that has the most of the first ones. Raises `CaptureError` where none has any.
+    It is the one that has the most of the first ones. Raises `CaptureError` where none has any, and where it is a link
+    that leads out of the folder it stands in.
     """
     above = [path, *(model_folder.resolve().parents[:_FOLDERS_UP]), model_folder]
     wanted = [image.name for image in model.images[:10]]
@@ -136,11 +142,12 @@ def _image_folder(path: Path, model_folder: Path, model: ColmapModel) -> Path:
     for folders in (usual, [each for each in (*path.glob("*/"), *path.glob("*/*/")) if each.is_dir()]):
         best = max(folders, key=lambda folder: _holds(folder, wanted), default=None)
         if best is not None and _holds(best, wanted):
+            check_inside(best.parent, [best.name], names_file)
             return best
     there = path / _IMAGE_FOLDERS[0]
     raise CaptureError(
         f"{model_folder}: none of its {len(model.images)} images lies in {path} ({wanted[0]}, say); put them into "
-        f"{there}, or a link to where they are (ln -s FOLDER {there})"
+        f"{there}, or a link to where they are (ln -s FOLDER {there}, and --allow-outside)"
     )
 
 

@@ -16,6 +16,7 @@ from jaxtyping import Float64
 
 from ..capture import Capture, CaptureError, View
 from ..driving_record import DrivingRecord, Scan
+from ..files.inside import check_inside
 from ..files.json_file import read_json_object
 from ..files.npz_file import read_npz
 from ..files.picture_file import picture_size, read_color
@@ -69,6 +70,7 @@ def _first_scene(dataset: Path, problems: list[str]) -> Path:
     except WRONG_VALUES as error:
         raise CaptureError(f"{dataset}: scene_splits {what_is_wrong(error)}") from None
     try:
+        check_inside(dataset.parent, listed, dataset)
         there = [name for name in listed if (dataset.parent / name).is_file()]
     except OSError as error:
         raise CaptureError(f"{dataset}: names a scene that no disk can hold ({error.strerror})") from None
@@ -108,6 +110,7 @@ class _Scene:
             samples = sorted(values["samples"], key=lambda sample: str(sample["id"]["timestamp"]))
         except WRONG_VALUES as error:
             raise CaptureError(f"{file}: {what_is_wrong(error)}") from None
+        check_inside(file.parent, _named_files(values, data, samples), file)
         record = DrivingRecord(str(values.get("name") or file.parent.name), road_m=0.0, problems=problems)
         return cls(file, data, samples, record)
 
@@ -216,6 +219,26 @@ class _Lidar:
         with np.errstate(over="ignore"):
             light = None if intensity is None else rows[:, intensity].astype(np.float32)
         return Scan(self.time_s, self.vehicle_to_world, points, to_vehicle[:3, 3], light)
+
+
+def _named_files(
+    values: dict[str, Any], data: dict[str, dict[str, Any]], samples: list[dict[str, Any]]
+) -> Iterator[str]:
+    """Every name of a file that a scene holds; what is none is left to who reads it."""
+    for datum in data.values():
+        for kind in _dicts(datum.get("datum")):
+            named = [kind.get("filename"), *_values(kind.get("annotations"))]
+            yield from (each for each in named if isinstance(each, str))
+    yield from (f"calibration/{sample.get('calibration_key')}.json" for sample in samples)
+    yield from (f"ontology/{name}.json" for name in _values(values.get("ontologies")))
+
+
+def _values(values: Any) -> list[Any]:
+    return list(values.values()) if isinstance(values, dict) else []
+
+
+def _dicts(values: Any) -> list[dict[str, Any]]:
+    return [each for each in _values(values) if isinstance(each, dict)]
 
 
 def _pose(datum: dict[str, Any]) -> Float64[np.ndarray, "4 4"]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..capture import Capture, CaptureError, View
 from ..driving_record import DrivingRecord, Scan
+from ..files.inside import check_inside
 from ..files.picture_file import picture_size, pictures_in, read_color
 from ..files.reading_errors import what_is_wrong
 from ..files.safe_pickle import read_pickle
@@ -71,6 +72,9 @@ def _drives(infos: list[Info]) -> list[list[Info]]:
 
 
 def _capture(folder: Path, infos: list[Info], record: DrivingRecord) -> Capture:
+    named = [(each.file, each.channel) for info in infos for each in info.cameras]
+    named += [(info.lidar_file, "LIDAR_TOP") for info in infos if info.lidar_file]
+    check_inside(folder, (str(found) for name, sensor in named if (found := _found(folder, name, sensor))), folder)
     old = _has_old_boxes(folder, infos)
     for number, info in enumerate(infos):
         record.stamps.append((info.time_s, info.vehicle_to_world))
@@ -123,10 +127,17 @@ def _scans(folder: Path, infos: list[Info], problems: list[str]) -> Iterator[Sca
 
 def _find(folder: Path, named: str, sensor: str) -> Path:
     """Where a file lies: as the info file has it, in samples/SENSOR, or beside the info file. Raises `CaptureError`."""
+    found = _found(folder, named, sensor)
+    if found is None:
+        raise CaptureError(f"{named}: no such file in {folder}")
+    return found
+
+
+def _found(folder: Path, named: str, sensor: str) -> Path | None:
     parts = [part for part in Path(named).parts if part not in ("..", ".", "/")]
     places = [Path(*parts[start:]) for start in range(len(parts))]
     places += [Path("samples", sensor, parts[-1]), Path("sweeps", sensor, parts[-1])] if parts else []
     for place in places:
         if (folder / place).is_file():
             return folder / place
-    raise CaptureError(f"{named}: no such file in {folder}")
+    return None

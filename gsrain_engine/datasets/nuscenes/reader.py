@@ -16,6 +16,7 @@ from gsrain_engine.untrusted.limits import read_file
 
 from ..capture import Capture, CaptureError, View
 from ..driving_record import DrivingRecord, Scan
+from ..files.inside import check_inside
 from ..files.picture_file import picture_size, read_color
 from ..geometry.box_tracks import BoxSample
 from ..geometry.opencv_camera import opencv_camera_of_matrix
@@ -87,6 +88,7 @@ class _Scene:
     record: DrivingRecord
 
     def capture(self, data: list[SampleData]) -> Capture:
+        check_inside(self.root, (each.filename for each in data), self.root)
         lidars: list[SampleData] = []
         numbers = {time: number for number, time in enumerate(sorted({self._sample_time(each) for each in data}))}
         for each in sorted(data, key=lambda each: each.timestamp):

@@ -15,11 +15,11 @@ from .sky_pixels import sky_masks
 class KnownDepth:
     """Pictures of the depth along the view axis, one a view, and of the sky."""
 
-    measured: tuple[Float32[np.ndarray, "h w"], ...]
+    measured: tuple[Float32[np.ndarray, "_ _"], ...]
     """0 where nothing was measured; without what moves."""
-    completed: tuple[Float32[np.ndarray, "h w"], ...]
+    completed: tuple[Float32[np.ndarray, "_ _"], ...]
     """0 in the sky, and where nothing can be told."""
-    skies: tuple[Bool[np.ndarray, "h w"], ...]
+    skies: tuple[Bool[np.ndarray, "_ _"], ...]
 
     @property
     def usual(self) -> float:

@@ -34,7 +34,7 @@ def _without(sweep: Sweep, moving: Sequence[TrackedBox]) -> Sweep:
 
 def measured_depths(
     capture: Capture, views: Sequence[View], sweeps: Sequence[Sweep] | None = None
-) -> list[Float32[np.ndarray, "h w"]]:
+) -> list[Float32[np.ndarray, "_ _"]]:
     """Depth along the view axis in each view, 0 where nothing was measured.
 
     The view's own depth where it has one, else lidar, else the capture's points; all 0 where there is none of them.
@@ -43,7 +43,7 @@ def measured_depths(
     sweeps = static_sweeps(capture) if sweeps is None else sweeps
     if not sweeps and capture.points_m is not None and len(capture.points_m):
         sweeps = (Sweep(0.0, capture.points_m.astype(np.float32), np.zeros(3)),)
-    depths: list[Float32[np.ndarray, "h w"]] = []
+    depths: list[Float32[np.ndarray, "_ _"]] = []
     for view in views:
         own = view.depth
         if own is None and sweeps:
@@ -56,9 +56,9 @@ def measured_depths(
 def completed_depths(
     capture: Capture,
     views: Sequence[View],
-    measured: Sequence[Float32[np.ndarray, "h w"]],
-    skies: Sequence[Bool[np.ndarray, "h w"]] | None = None,
-) -> list[Float32[np.ndarray, "h w"]]:
+    measured: Sequence[Float32[np.ndarray, "_ _"]],
+    skies: Sequence[Bool[np.ndarray, "_ _"]] | None = None,
+) -> list[Float32[np.ndarray, "_ _"]]:
     """Depth of all pixels but the sky's, from `measured_depths`; all 0 where there was nothing.
 
     Depth pictures of a view's own are whole as they are.
@@ -68,7 +68,7 @@ def completed_depths(
     drop = None
     if not capture.sweeps and capture.points_m is not None and len(capture.points_m):
         drop = road_drop(capture.points_m, views, capture.up)
-    completed: list[Float32[np.ndarray, "h w"]] = []
+    completed: list[Float32[np.ndarray, "_ _"]] = []
     for view, depth, sky in zip(views, measured, skies or [None] * len(views), strict=True):
         if view.depth_source is not None:  # a depth camera, or a mesh: it tells all there is
             completed.append(depth if sky is None else np.where(sky, np.float32(0), depth))

@@ -98,12 +98,12 @@ def box_outline(view: View, box: TrackedBox, margin_m: float = 0.0) -> Float64[n
     return np.zeros((0, 2)) if is_beside else hull
 
 
-def read_camera_masks(folder: Path | str) -> dict[str, Bool[np.ndarray, "h w"]]:
+def read_camera_masks(folder: Path | str) -> dict[str, Bool[np.ndarray, "_ _"]]:
     """Read a person's masks, a picture for each camera, named like the sensor: white may be learned from, black not."""
     files = sorted(each for each in Path(folder).iterdir() if each.suffix.lower() in (".png", ".jpg", ".jpeg", ".bmp"))
     if not files:
         raise CaptureError(f"{folder}: no masks; expected a picture for each camera, named like it (CAM_BACK.png)")
-    masks: dict[str, Bool[np.ndarray, "h w"]] = {}
+    masks: dict[str, Bool[np.ndarray, "_ _"]] = {}
     for file in files:
         try:
             with open_file(file) as stream, Image.open(stream) as picture:
@@ -113,7 +113,7 @@ def read_camera_masks(folder: Path | str) -> dict[str, Bool[np.ndarray, "h w"]]:
     return masks
 
 
-def with_camera_masks(views: Iterable[View], masks: dict[str, Bool[np.ndarray, "h w"]]) -> tuple[View, ...]:
+def with_camera_masks(views: Iterable[View], masks: dict[str, Bool[np.ndarray, "_ _"]]) -> tuple[View, ...]:
     """Put each camera's mask into its views, scaled to their size, on top of the mask that they have.
 
     In a capture of one camera without a name, the only mask is meant for it.

@@ -78,9 +78,9 @@ class SureSky(NamedTuple):
 
 def sky_masks(
     views: Sequence[View],
-    depths_m: Sequence[Float32[np.ndarray, "h w"]],
+    depths_m: Sequence[Float32[np.ndarray, "_ _"]],
     up: tuple[float, float, float] = (0.0, 0.0, 1.0),
-) -> list[Bool[np.ndarray, "h w"]]:
+) -> list[Bool[np.ndarray, "_ _"]]:
     """Which pixels of each view show the sky; `View.sky` where all views have it.
 
     Else a first guess, smooth patches above the horizon that are bright or blue and where the lidar saw nothing, tells
@@ -95,9 +95,9 @@ def sky_masks(
     told = [view.sky for view in views]
     if all(sky is not None for sky in told):
         return [sky for sky in told if sky is not None]
-    guesses: list[Bool[np.ndarray, "h w"]] = []
-    chances: list[Bool[np.ndarray, "h w"]] = []
-    above: list[Bool[np.ndarray, "h w"]] = []
+    guesses: list[Bool[np.ndarray, "_ _"]] = []
+    chances: list[Bool[np.ndarray, "_ _"]] = []
+    above: list[Bool[np.ndarray, "_ _"]] = []
     bins: list[np.ndarray] = []
     for view, depth in zip(views, depths_m, strict=True):
         image = view.image
@@ -327,8 +327,8 @@ def _color_bins(image: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
 
 def _likely_colors(
     bins: Sequence[np.ndarray],
-    guesses: Sequence[Bool[np.ndarray, "h w"]],
-    above: Sequence[Bool[np.ndarray, "h w"]],
+    guesses: Sequence[Bool[np.ndarray, "_ _"]],
+    above: Sequence[Bool[np.ndarray, "_ _"]],
 ) -> Bool[np.ndarray, " b"] | None:
     """Which colours are the sky's rather than those of what else is above the horizon; None where no sky was found."""
     count = _BINS**3

@@ -87,7 +87,7 @@ def _colors(
 ) -> tuple[Float32[np.ndarray, "p 3"], Bool[np.ndarray, " p"]]:
     """Colours from the views that see the box, each brought into the thing's own frame at its time."""
     own: list[View] = []
-    depths: list[Float32[np.ndarray, "h w"]] = []
+    depths: list[Float32[np.ndarray, "_ _"]] = []
     seen = [view for view in views if len(box_outline(view, box))]
     seen.sort(key=lambda view: float(np.linalg.norm(_pose(box, view)[:3, 3] - view.camera.position)))
     for view in seen[:_MOST_VIEWS]:

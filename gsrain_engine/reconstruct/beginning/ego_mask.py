@@ -30,14 +30,15 @@ _LOWEST_PART = 0.55
 """Only the lower part of a picture is searched: there the road is near and moves."""
 _LEAST_GAIN = 0.01
 """Mean evidence that the region must have over the prior, in colour."""
+_PROPORTIONS = 0.05
+"""Pictures of a camera whose sides' ratio is so far from the middle one's were turned or cut: they are not compared."""
 
 
 class _Small:
     """One picture, small: its colours, its edges, and where its pixels lie in the world."""
 
-    def __init__(self, view: View, depth: Float32[np.ndarray, "h w"]) -> None:
-        width = min(_WIDTH, view.camera.width)
-        height = max(round(view.camera.height * width / view.camera.width), 1)
+    def __init__(self, view: View, depth: Float32[np.ndarray, "h w"], size: tuple[int, int]) -> None:
+        width, height = size
         self.camera: Camera = scaled_camera(view.camera, width, height)
         self.time_s, self.sensor = view.time_s, view.sensor
         color = cv2.resize(view.image, (width, height), interpolation=cv2.INTER_AREA)
@@ -68,8 +69,8 @@ def _difference(one: Float32[np.ndarray, "h w 5"], other: Float32[np.ndarray, "h
 
 
 def ego_masks(
-    views: Sequence[View], depths: Sequence[Float32[np.ndarray, "h w"]]
-) -> dict[str, Bool[np.ndarray, "h w"]]:
+    views: Sequence[View], depths: Sequence[Float32[np.ndarray, "_ _"]]
+) -> dict[str, Bool[np.ndarray, "_ _"]]:
     """By sensor, which pixels show the world, in cameras that have a part of the ego's body at their lower edge.
 
     Two explanations of each pixel compete: it belongs to the ego, so that all pictures of the camera are alike there,
@@ -78,29 +79,49 @@ def ego_masks(
     evidence has no mask, and neither has one that stood still.
 
     Args:
-        views: Without distortion, of one size a sensor.
+        views: Without distortion. Their sizes may differ by a few pixels, as they do after undistortion by one camera a
+            picture; those with other proportions than most of their sensor's are not looked at.
         depths: Of the static scene, completed down to the lower edge (`completed_depth`).
     """
-    small = [_Small(view, depth) for view, depth in zip(views, depths, strict=True)]
-    found: dict[str, Bool[np.ndarray, "h w"]] = {}
+    found: dict[str, Bool[np.ndarray, "_ _"]] = {}
     for sensor in dict.fromkeys(view.sensor for view in views):
-        own = [each for each in small if each.sensor == sensor]
-        if len(own) < _LEAST_FRAMES:
+        rows = _alike(views, sensor)
+        if len(rows) < _LEAST_FRAMES:
             continue
+        camera = views[rows[0]].camera
+        width = min(_WIDTH, *(views[row].camera.width for row in rows))
+        size = width, max(round(camera.height * width / camera.width), 1)
+        own = [_Small(views[row], depths[row], size) for row in rows]
         contour = _contour(_evidence(own))
         if contour is not None:
-            camera = next(view.camera for view in views if view.sensor == sensor)
             found[sensor] = _above(contour, own[0].camera, camera)
     return found
 
 
-def without_ego(views: Sequence[View], depths: Sequence[Float32[np.ndarray, "h w"]]) -> list[View]:
-    """Take the ego's own body out of the views' masks, where `ego_masks` finds one; the log says in which cameras."""
+def without_ego(
+    views: Sequence[View], depths: Sequence[Float32[np.ndarray, "_ _"]]
+) -> tuple[list[View], dict[str, float]]:
+    """Take the ego's own body out of the views' masks, where `ego_masks` finds one; the log says in which cameras.
+
+    Returns the views, and by sensor the share (0..1) of its pictures that the body covers.
+    """
     masks = ego_masks(views, depths)
-    for sensor, mask in masks.items():
-        share = 100 * (1 - float(mask.mean()))
-        logger.info("%s shows the ego's own body in %.0f %% of its picture: left out", sensor or "the camera", share)
-    return list(with_camera_masks(views, masks))
+    shares = {sensor: 1 - float(mask.mean()) for sensor, mask in masks.items()}
+    for sensor, share in shares.items():
+        logger.info(
+            "%s shows the ego's own body in %.0f %% of its picture: left out", sensor or "the camera", 100 * share
+        )
+    alike = {row for sensor in masks for row in _alike(views, sensor)}
+    ready = [with_camera_masks([view], masks)[0] if row in alike else view for row, view in enumerate(views)]
+    return ready, shares
+
+
+def _alike(views: Sequence[View], sensor: str) -> list[int]:
+    """Rows of a sensor's views that have the proportions of its middle one, but for a few pixels."""
+    rows = [row for row, view in enumerate(views) if view.sensor == sensor]
+    ratios = [views[row].camera.height / views[row].camera.width for row in rows]
+    middle = sorted(ratios)[len(ratios) // 2]
+    return [row for row, ratio in zip(rows, ratios, strict=True) if abs(ratio / middle - 1) <= _PROPORTIONS]
 
 
 def _evidence(own: Sequence[_Small]) -> Float32[np.ndarray, "h w 2"]:

@@ -92,7 +92,7 @@ def _hidden_by_movers(view: View, unmasked: View) -> View | None:
 
 def _covering(
     views: Sequence[View],
-    depths: Sequence[Float32[np.ndarray, "h w"]],
+    depths: Sequence[Float32[np.ndarray, "_ _"]],
     hidden: Sequence[View | None],
     stride: int,
     budget: int,
@@ -112,7 +112,7 @@ def _covering(
 
 
 def _without_holes(
-    surfels: Surfels, views: Sequence[View], depths: Sequence[Float32[np.ndarray, "h w"]], stride: int, budget: int
+    surfels: Surfels, views: Sequence[View], depths: Sequence[Float32[np.ndarray, "_ _"]], stride: int, budget: int
 ) -> Gaussians:
     """Draw the discs as each view sees them, and add more where too little is drawn: seams between views, mostly."""
     gaussians = surfels.gaussians(SURFACE_OPACITY)
@@ -142,7 +142,7 @@ def _covered(
 
 
 def _random_gaussians(
-    views: Sequence[View], skies: Sequence[Bool[np.ndarray, "h w"]], budget: int, seed: int
+    views: Sequence[View], skies: Sequence[Bool[np.ndarray, "_ _"]], budget: int, seed: int
 ) -> Gaussians:
     """Spread Gaussians over what the cameras see, evenly in inverse distance from a length that their spread tells."""
     random = np.random.default_rng(seed)

@@ -31,7 +31,7 @@ def projected(
 def point_colors(
     points: Float32[np.ndarray, "p 3"] | Float64[np.ndarray, "p 3"],
     views: Sequence[View],
-    depths: Sequence[Float32[np.ndarray, "h w"]],
+    depths: Sequence[Float32[np.ndarray, "_ _"]],
     most_views: int = 8,
 ) -> tuple[Float32[np.ndarray, "p 3"], Bool[np.ndarray, " p"]]:
     """Display colour of each point, the median over the nearest views that see it, and whether any does (else grey).

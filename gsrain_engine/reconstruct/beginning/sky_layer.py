@@ -32,7 +32,7 @@ def initial_sky(
     capture: Capture,
     views: Sequence[View],
     surface: Gaussians,
-    skies: Sequence[Bool[np.ndarray, "h w"]] | None = None,
+    skies: Sequence[Bool[np.ndarray, "_ _"]] | None = None,
     count: int = SKY_GAUSSIANS,
 ) -> Gaussians:
     """Make a dome around the scene, of about `count` Gaussians; none where no view shows any sky.
@@ -80,7 +80,7 @@ def _colors(
     directions: Float64[np.ndarray, "n 3"],
     places: Float64[np.ndarray, "n 3"],
     views: Sequence[View],
-    skies: Sequence[Bool[np.ndarray, "h w"]],
+    skies: Sequence[Bool[np.ndarray, "_ _"]],
 ) -> Float32[np.ndarray, "n 3"]:
     """Median over the views that show a direction's sky; elsewhere the mean of known ones, weighted by nearness."""
     samples: list[list[np.ndarray]] = [[] for _ in directions]

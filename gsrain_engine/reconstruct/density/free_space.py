@@ -50,7 +50,7 @@ class FreeSpace:
     def of(
         cls,
         cameras: Sequence[Camera],
-        depths: Sequence[Float32[np.ndarray, "h w"]],
+        depths: Sequence[Float32[np.ndarray, "_ _"]],
         way: Float64[np.ndarray, "p 3"],
         share: float,
     ) -> "FreeSpace | None":

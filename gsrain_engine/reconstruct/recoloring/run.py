@@ -32,8 +32,8 @@ _Result = TypeVar("_Result")
 class RecolorOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What to do beside solving."""
 
-    width_px: Annotated[int, Meta(ge=16, le=16384, title="Width of pictures", extra={"unit": "px"})] = 480
-    """Wider pictures are made smaller."""
+    width_px: Annotated[int, Meta(ge=16, le=16384, title="Width of pictures", extra={"unit": "px"})] = 960
+    """Wider pictures are made smaller; others stay as they are."""
     held_out: Annotated[int, Meta(ge=0, title="Held out")] = 8
     """Every so-many-th view has no say and measures the result; 0 for none."""
     polish: Annotated[int, Meta(ge=0, le=100_000, title="Polish steps")] = 0
@@ -133,6 +133,7 @@ def _numbers(scene: Scene, recolored: Recolored) -> dict[str, Any]:
         "gaussians": scene.gaussian_count,
         "views": len(taught),
         "views_held_out": len(held_out),
+        "width_px": max(view.seen.target.camera.width for view in recolored.setup.problem.views),
         "psnr_before_db": _mean([view.psnr_clear_db for view in recolored.measured]),
         "psnr_mapped_db": _mean([view.psnr_mapped_db for view in recolored.measured]),
         "psnr_held_out_db": _mean([view.psnr_db for view in held_out]),

@@ -11,6 +11,7 @@ from gsrain_engine.datasets.capture import Capture
 from .curves import TrainingCurves
 from .held_out import Score, mean_of
 from .settings import TrainingSettings
+from .start import OwnBody
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +41,7 @@ class Reconstruction:
     pictures: tuple[MeasuredPicture, ...]
     """All held-out views, and some that were learned from."""
     seconds_by_stage: dict[str, float]
+    own_body: OwnBody
 
     @property
     def held_out(self) -> list[Score]:
@@ -67,5 +69,10 @@ class Reconstruction:
             "held_out": [asdict(each) for each in self.held_out],
             "steps": len(self.curves.losses),
             "seconds_by_stage": self.seconds_by_stage,
+            "own_body": {
+                "searched": self.own_body.searched,
+                "reason": self.own_body.reason,
+                "shares": dict(self.own_body.shares),
+            },
             "problems": list(self.capture.problems),
         }

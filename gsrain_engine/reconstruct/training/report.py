@@ -60,6 +60,7 @@ def _headlines(result: Reconstruction) -> dict[str, str]:
         "Gaussians": f"{result.gaussians:,}",
         "Time": f"{result.seconds / 60:.1f} min",
         "Views": f"{len(result.capture)}, {len(result.held_out)} held out",
+        "Own body": result.own_body.line,
     }
     exposed, before = mean_of(result.held_out, "psnr_exposed_db"), mean_of(result.before, "psnr_db")
     if exposed is not None:

@@ -117,8 +117,13 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     ] = 0.1
     sky: Annotated[bool, Meta(title="Sky", description="Fit a dome of far Gaussians where the sky is.")] = True
     own_body: Annotated[
-        bool, Meta(title="Own body", description="Look for the vehicle's own body in the pictures, and leave it out.")
-    ] = True
+        bool | None,
+        Meta(
+            title="Own body",
+            description="Look for the vehicle's own body in the pictures, and leave it out; none: where the capture is "
+            "a drive (a rig on a vehicle, or odometry).",
+        ),
+    ] = None
     actors: Annotated[
         bool, Meta(title="Actors", description="Fit what moves as objects of their own; else it is left out.")
     ] = True

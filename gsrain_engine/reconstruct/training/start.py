@@ -1,8 +1,8 @@
 """Where a training begins: views made ready, first Gaussians, a sky, things that move, and their control."""
 
 import logging
-from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -51,6 +51,34 @@ class StartedTraining:
     held_out: list[TrainingView]
     """Views that it does not learn from."""
     perceived: Perceived | None
+    own_body: "OwnBody"
+
+
+@dataclass(frozen=True, slots=True)
+class OwnBody:
+    """The search for the vehicle's own body in the pictures, for the record."""
+
+    searched: bool
+    reason: str
+    """Why it ran, or did not."""
+    shares: Mapping[str, float] = field(default_factory=dict[str, float])
+    """By camera, which part (0..1) of its pictures the body covers; cameras without any are not listed."""
+
+    @classmethod
+    def planned(cls, capture: Capture, own_body: bool | None) -> "OwnBody":
+        """Decide by the setting, else by the capture: only a vehicle that drives has a body in its pictures."""
+        if own_body is not None:
+            return cls(own_body, "asked for" if own_body else "not asked for")
+        is_drive = capture.ego is not None
+        return cls(is_drive, "the capture is a drive" if is_drive else "the capture is no drive")
+
+    @property
+    def line(self) -> str:
+        """The record in one line, for people."""
+        if not self.searched:
+            return f"not looked for ({self.reason})"
+        found = [f"{name or 'the camera'} {100 * share:.0f} %" for name, share in self.shares.items()]
+        return f"looked for ({self.reason}): {', '.join(found) or 'none found'}"
 
 
 def start_training(
@@ -62,9 +90,11 @@ def start_training(
     views = prepared_views(capture, settings.width_px)
     yield Progress(0.005, "Looking for surfaces and sky")
     known = known_depth(capture, views)
-    if settings.own_body:
+    own_body = OwnBody.planned(capture, settings.own_body)
+    if own_body.searched:
         yield Progress(0.012, "Looking for the vehicle's own body")
-        views = without_ego(views, known.completed)
+        views, shares = without_ego(views, known.completed)
+        own_body = replace(own_body, shares=shares)
     learned = [index for index in range(len(views)) if index not in set(held_out)]
     yield Progress(0.015, "Placing the first Gaussians")
     model = _model(capture, settings, [views[i] for i in learned], known.of(learned), device)
@@ -93,7 +123,7 @@ def start_training(
             "%s: nothing tells how long a metre is; set the scene's scale before it rains (in the window, or by "
             "gsrain convert --metres-per-unit)", capture.name,
         )  # fmt: skip
-    return StartedTraining(training, [ready[i] for i in held_out], _perceived(lpips, device))
+    return StartedTraining(training, [ready[i] for i in held_out], _perceived(lpips, device), own_body)
 
 
 def _model(

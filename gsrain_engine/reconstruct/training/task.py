@@ -35,6 +35,9 @@ class ReconstructionTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     snapshot: Path | None = None
     """Scene folder that is written anew at each look at the held-out views, to be looked at meanwhile."""
 
+    allow_outside: bool | None = None
+    """Whether files outside of the capture's folder are read that its files name; None leaves it to the context."""
+
     @property
     def checkpoint(self) -> Path:
         """Where the checkpoints of this task are; removed once the scene is written."""
@@ -42,7 +45,7 @@ class ReconstructionTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
     def read(self) -> Capture:
         """Read the capture; raises `CaptureError`, also where there is nothing to learn from."""
-        capture = readable_pictures(open_capture(self.capture))
+        capture = readable_pictures(open_capture(self.capture, allow_outside=self.allow_outside))
         if self.images is not None:
             capture = with_images(capture, self.images)
         if self.masks is not None:

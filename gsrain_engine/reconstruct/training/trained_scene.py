@@ -10,6 +10,7 @@ from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, View
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.members import Layer
 from gsrain_engine.scene.paths.camera_path import CameraPath
+from gsrain_engine.scene.paths.pace import WALKING_M_S, paced
 from gsrain_engine.scene.rotations import quaternions_from_matrices
 from gsrain_engine.scene.scene import RigCamera, Scene, rotation_to_z_up
 
@@ -35,20 +36,23 @@ def scene_of(model: SplatModel, capture: Capture) -> Scene:
         rigs=_rigs(capture),
         ego=capture.ego,
         path=recorded_path(capture.views) if capture.ego is None else None,
+        unit_is_assumed=not capture.is_metric,
     )
 
 
 def recorded_path(views: Sequence[View]) -> CameraPath | None:
-    """Fly where the first camera was, picture by picture, a second each where the capture has no times."""
+    """Fly where the first camera was, picture by picture; at walking pace where the capture has no times."""
     own = [view for view in views if view.sensor == views[0].sensor]
     if len(own) < 2:
         return None
     times = np.array([view.time_s for view in own])
-    if np.any(np.diff(times) <= 0):
+    is_timed = bool(np.all(np.diff(times) > 0))
+    if not is_timed:
         times = np.arange(len(own), dtype=np.float64)
     poses = np.stack([view.camera.camera_to_world for view in own])
     fields = np.array([view.camera.vertical_fov_deg for view in own])
-    return CameraPath(times, poses[:, :3, 3], quaternions_from_matrices(poses[:, :3, :3]), fields)
+    path = CameraPath(times, poses[:, :3, 3], quaternions_from_matrices(poses[:, :3, :3]), fields)
+    return path if is_timed else paced(path, WALKING_M_S)
 
 
 def _visible(gaussians: Gaussians) -> Gaussians:

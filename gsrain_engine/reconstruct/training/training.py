@@ -68,7 +68,7 @@ class _Learning:
     def __init__(self, task: ReconstructionTask, capture: Capture, started: StartedTraining, began: float) -> None:
         self._task, self._capture, self._began = task, capture, began
         self._settings, self._training = task.settings, started.training
-        self._held, self._perceived = started.held_out, started.perceived
+        self._held, self._perceived, self._own_body = started.held_out, started.perceived, started.own_body
         self._first, self._curves = 0, TrainingCurves()
         self._before: tuple[Score, ...] = ()
         self._shown_at = -np.inf
@@ -134,7 +134,7 @@ class _Learning:
             self._curves.measured(self._settings.steps, mean_of(held, "psnr_db") or 0.0)
         return Reconstruction(
             self._capture, self._settings, self._training.model.count, seconds, self._curves, self._before,
-            tuple(pictures), dict(self._training.seconds_by_stage),
+            tuple(pictures), dict(self._training.seconds_by_stage), self._own_body,
         )  # fmt: skip
 
     @property

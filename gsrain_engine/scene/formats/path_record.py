@@ -30,6 +30,7 @@ class PathRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     interpolation: Interpolation = "spline"
     easing: Easing = "none"
     loop: bool = False
+    is_timed: bool = True
 
 
 def path_record(path: CameraPath) -> PathRecord:
@@ -44,6 +45,7 @@ def path_record(path: CameraPath) -> PathRecord:
         interpolation=path.interpolation,
         easing=path.easing,
         loop=path.loop,
+        is_timed=path.is_timed,
     )
 
 
@@ -66,4 +68,5 @@ def path_of(record: PathRecord, where: str) -> CameraPath:
         record.interpolation,
         record.easing,
         record.loop,
+        record.is_timed,
     )

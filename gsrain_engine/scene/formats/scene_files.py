@@ -11,10 +11,12 @@ from ..scene import Scene
 from .gaussian_files import close_match, format_of, read_gaussians, write_gaussians
 from .known_files import KnownFiles
 from .scene_folder import SCENE_FILE, read_scene_folder, write_scene_folder
-from .sog import read_sog
+from .sog import is_sog_folder, read_sog
 
 SOG_FILE = "meta.json"
-"""What tells that a folder is a SOG scene that was unpacked."""
+"""Description of a SOG scene that was unpacked into a folder."""
+INNER_SCENE = "scene"
+"""Folder with the scene in one that `gsrain street` has written."""
 
 
 def read_scene(path: Path | str, known: KnownFiles | None = None) -> Scene:
@@ -74,9 +76,14 @@ def _read(path: Path, known: KnownFiles | None) -> Scene:
         return _single_layer(_stem(path), read_gaussians(path))
     if (path / SCENE_FILE).is_file():
         return read_scene_folder(path, known)
-    if (path / SOG_FILE).is_file():
+    if is_sog_folder(path):
         return _single_layer(path.resolve().name, read_sog(path))
-    raise SceneFormatError(path, f"a scene folder holds {SCENE_FILE} and a SOG folder {SOG_FILE}; this has neither")
+    if (path / INNER_SCENE / SCENE_FILE).is_file():
+        return read_scene_folder(path / INNER_SCENE, known)
+    told = f"a scene folder holds {SCENE_FILE} and a SOG folder {SOG_FILE}; this has neither"
+    if (path / SOG_FILE).is_file():
+        told += f" (its {SOG_FILE} is none of SOG: it does not say where the means are)"
+    raise SceneFormatError(path, told)
 
 
 def _neighbour(path: Path) -> str:
@@ -89,7 +96,7 @@ def _neighbour(path: Path) -> str:
 
 def _single_layer(name: str, gaussians: Gaussians) -> Scene:
     name = name.encode(errors="replace").decode()  # bytes of a file's name that are no UTF-8 can't be saved as JSON
-    return Scene(name, layers=(Layer(name, gaussians),), up=FILE_UP)
+    return Scene(name, layers=(Layer(name, gaussians),), up=FILE_UP, unit_is_assumed=True)
 
 
 def _stem(path: Path) -> str:

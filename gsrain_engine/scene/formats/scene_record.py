@@ -18,7 +18,7 @@ from .marks_record import MarksRecord, marks_of, marks_record, selections_of, se
 from .path_record import PathRecord, path_of, path_record
 from .track_record import TrackRecord, Vector, track_of, track_record
 
-SCENE_VERSION = 3
+SCENE_VERSION = 4
 """Raised when a field is added. Each field has a default that says what older files meant, so that they can be read."""
 
 Row = tuple[float, float, float, float]
@@ -83,6 +83,7 @@ class SceneRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     version: Annotated[int, Meta(ge=0, le=SCENE_VERSION)]
     name: str = ""
     metres_per_unit: Positive = 1.0
+    unit_is_assumed: bool = False
     up: Vector = (0.0, 0.0, 1.0)
     ground_m: float | None = None
     layers: list[LayerRecord] = []
@@ -122,6 +123,7 @@ def record_of(
         version=SCENE_VERSION,
         name=scene.name,
         metres_per_unit=scene.metres_per_unit,
+        unit_is_assumed=scene.unit_is_assumed,
         up=scene.up,
         ground_m=scene.ground_m,
         layers=[_layer_record(layer, next(names), next(wet_names)) for layer in scene.layers],
@@ -159,6 +161,7 @@ def scene_of(record: SceneRecord, gaussians: list[Gaussians], wet: Sequence[WetC
         layers=layers,
         actors=actors,
         metres_per_unit=record.metres_per_unit,
+        unit_is_assumed=record.unit_is_assumed,
         up=record.up,
         ground_m=record.ground_m,
         rigs={name: tuple(_camera(camera, name) for camera in cameras) for name, cameras in record.rigs.items()},

@@ -4,6 +4,7 @@ Source: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/
 """
 
 import io
+import json
 import struct
 import zipfile
 import zlib
@@ -37,6 +38,18 @@ _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplem
 
 ReadMember = Callable[[str, int], bytes]
 """Bytes of a file of the scene, by name; an error where it is longer than so many bytes."""
+
+
+def is_sog_folder(folder: Path) -> bool:
+    """Whether a folder holds the meta.json of SOG: a JSON object that says where the means are, not only that name."""
+    file = folder / _META
+    try:
+        if not file.is_file() or file.stat().st_size > _META_BYTES:
+            return False
+        values = json.loads(file.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(values, dict) and "means" in values
 
 
 def read_sog(path: Path) -> Gaussians:

@@ -37,6 +37,9 @@ class CameraPath:
     easing: Easing = "none"
     loop: bool = False
     """Fly from the last key on to the first, in as long as the other intervals take on average, and so on for ever."""
+    is_timed: bool = True
+    """Whether the times are known. Keys of photos without times are laid out at walking pace (`paced`), and a still
+    from such a path is that of a camera at rest."""
 
     def __post_init__(self) -> None:
         keys = len(self.times_s)

@@ -44,7 +44,7 @@ def with_key(path: CameraPath | None, time_s: float, camera: Camera) -> Keyed:
     key = key_at(path, time_s)
     if key is not None:
         return Keyed(placed_key(path, key, pose[:3, 3], quaternion[0], float(fov[0])), key)
-    longer = _with_rows(path, time, pose[None, :3, 3], quaternion, fov)
+    longer = _with_rows(replace(path, is_timed=True), time, pose[None, :3, 3], quaternion, fov)
     return Keyed(longer, int(np.searchsorted(longer.times_s, time[0])))
 
 
@@ -60,14 +60,14 @@ def moved_key(path: CameraPath, key: int, time_s: float) -> Keyed:
     times = path.times_s.copy()
     times[key] = free
     order = np.argsort(times)
-    return Keyed(_of_keys(path, order, times[order]), int(np.flatnonzero(order == key)[0]))
+    return Keyed(_of_keys(replace(path, is_timed=True), order, times[order]), int(np.flatnonzero(order == key)[0]))
 
 
 def copied_key(path: CameraPath, key: int, time_s: float) -> Keyed:
     """Put a copy of a key at another moment; where another key is, at the nearest free moment."""
     free = _free_moment(path.times_s, time_s)
     rows = (path.positions[key : key + 1], path.quaternions_wxyz[key : key + 1], path.vertical_fov_deg[key : key + 1])
-    longer = _with_rows(path, np.array([free]), *rows)
+    longer = _with_rows(replace(path, is_timed=True), np.array([free]), *rows)
     return Keyed(longer, int(np.searchsorted(longer.times_s, free)))
 
 
@@ -99,7 +99,7 @@ def stretched(path: CameraPath, factor: float) -> CameraPath:
     times = path.times_s[0] + factor * (path.times_s - path.times_s[0])
     if not np.isfinite(factor) or np.any(np.diff(times) <= SAME_TIME_S):
         raise ValueError(f"a path can't take {factor:g} times as long: its keys would fall together")
-    return replace(path, times_s=times)
+    return replace(path, times_s=times, is_timed=True)
 
 
 def shifted(path: CameraPath, seconds: float) -> CameraPath:

@@ -17,12 +17,11 @@ from gsrain_engine.scene.rotations import normalized, quaternions_from_matrices
 from .camera_path import CameraPath
 from .curves import Interpolation
 from .easing import Easing
+from .pace import WALKING_M_S, paced
 
 VERSION = 2
 """Since 2: interpolation, easing, loop. A path that has none of them is written as version 1, for older readers."""
 _NUMBERS = re.compile(r"([0-9]+)")
-_KEYS_PER_SECOND = 1.0
-"""Speed at which a list of training cameras, which has no times, is flown along."""
 
 
 def read_camera_path(path: Path | str) -> CameraPath:
@@ -107,12 +106,13 @@ def _nerfstudio(values: dict[str, Any]) -> CameraPath:
     keys = values["camera_path"]
     poses = np.array([key["camera_to_world"] for key in keys], np.float64).reshape(-1, 4, 4)
     fov = np.array([key["fov"] for key in keys], np.float64)
-    times = np.linspace(0, float(values.get("seconds", len(keys) - 1)), len(keys)) if len(keys) > 1 else np.zeros(1)
+    seconds = values.get("seconds")
+    times = None if seconds is None else np.linspace(0, float(seconds), len(keys)) if len(keys) > 1 else np.zeros(1)
     return _from_poses(times, poses[:, :3, :3] @ np.diag([1.0, -1.0, -1.0]), poses[:, :3, 3], fov)
 
 
 def _training_cameras(values: list[dict[str, Any]]) -> CameraPath:
-    """3DGS: camera-to-world rotation with OpenCV axes, focal lengths in pixels.
+    """3DGS: camera-to-world rotation with OpenCV axes, focal lengths in pixels; photos without times.
 
     Where all have names of their own they are flown in the order of these, frame_2 before frame_10: the file may have
     those for testing first.
@@ -122,7 +122,7 @@ def _training_cameras(values: list[dict[str, Any]]) -> CameraPath:
     rotations = np.array([key["rotation"] for key in values], np.float64).reshape(-1, 3, 3)
     positions = np.array([key["position"] for key in values], np.float64).reshape(-1, 3)
     fov = [np.degrees(2 * np.arctan(0.5 * key["height"] / key["fy"])) for key in values]
-    return _from_poses(np.arange(len(values)) / _KEYS_PER_SECOND, rotations, positions, np.array(fov))
+    return _from_poses(None, rotations, positions, np.array(fov))
 
 
 def _in_order(camera: dict[str, Any]) -> tuple[tuple[bool, int, str], ...]:
@@ -132,9 +132,12 @@ def _in_order(camera: dict[str, Any]) -> tuple[tuple[bool, int, str], ...]:
 
 
 def _from_poses(
-    times: Float64[np.ndarray, " k"],
+    times: Float64[np.ndarray, " k"] | None,
     rotations: Float64[np.ndarray, "k 3 3"],
     positions: Float64[np.ndarray, "k 3"],
     fov: Float64[np.ndarray, " k"],
 ) -> CameraPath:
-    return CameraPath(times, positions, normalized(quaternions_from_matrices(rotations)), fov)
+    """Fly through poses at moments, or, without these, at walking pace, a unit taken for a metre."""
+    moments = np.arange(len(positions), dtype=np.float64) if times is None else times
+    path = CameraPath(moments, positions, normalized(quaternions_from_matrices(rotations)), fov)
+    return path if times is not None else paced(path, WALKING_M_S)

@@ -144,7 +144,7 @@ class RainyLook:
         if self.why_not(session) is not None:
             return
         capture = session.captures.path if uses_capture(session, self.choice.source) else None
-        order = TransferOrder(self.method, self.settings, self.choice, capture)
+        order = TransferOrder(self.method, self.settings, self.choice, capture, session.captures.allows_outside)
         session.start(SceneJob(RainyScene(session.scene, self._scene_files.known, order), self._files))
 
     def make_soon(self) -> None:

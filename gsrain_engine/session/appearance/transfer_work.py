@@ -39,13 +39,15 @@ class TransferOrder:
     choice: ViewChoice
     capture: Path | None = None
     """The scene's recording, where views are its."""
+    allow_outside: bool = False
+    """Whether files outside of the recording's folder are read that its files name."""
 
 
 def make_rainy(copy: Path, order: TransferOrder, output: Path, report: Path | None) -> Iterator[Progress]:
     """Work of the job "Make it rainy": transfer views of a saved scene, solve for its wet colours and write them."""
     yield Progress(0.0, "Reading the scene")
     scene = read_scene(copy)
-    capture = None if order.capture is None else open_capture(order.capture)
+    capture = None if order.capture is None else open_capture(order.capture, allow_outside=order.allow_outside)
     views = scene_views(scene, chosen_cameras(scene, order.choice, capture))
     kept = KeptComparisons(_opened(order.method, order.settings, scene))
     # Pictures that don't agree with each other need the robust steps and an exposure each.

@@ -12,6 +12,7 @@ from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.paths.edits import shifted
 from gsrain_engine.scene.paths.export import write_nerfstudio_path, write_training_cameras
 from gsrain_engine.scene.paths.files import read_camera_path, write_camera_path
+from gsrain_engine.scene.paths.pace import WALKING_M_S, paced
 from gsrain_engine.scene.paths.trajectory import every, simplified, snapped_key
 from gsrain_engine.scene.scene import RigCamera
 
@@ -35,6 +36,9 @@ def import_path(session: ViewedDocument, file: Path) -> None:
         logger.error("%s", error)
     else:
         path = path if path.start_s >= 0 else shifted(path, -path.start_s)  # a scene's time begins at 0
+        if not path.is_timed:
+            path = paced(path, WALKING_M_S / session.scene.metres_per_unit)
+            logger.info("%s has no times: it is flown at walking pace, %g m/s", file.name, WALKING_M_S)
         set_path(session, f"Import {file.name}", path)
         session.timeline.key = None
         logger.info("Imported %s: %d keys, %.1f s", file.name, len(path.times_s), path.duration_s)

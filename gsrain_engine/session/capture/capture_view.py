@@ -2,12 +2,14 @@
 
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
 
 from gsrain_engine.datasets.capture import Capture, CaptureError, View
+from gsrain_engine.datasets.files.inside import OutsideError
 from gsrain_engine.scene.scene import Scene, rotation_to_z_up
 
 from ..document.viewed_document import ViewedDocument
@@ -53,7 +55,12 @@ class CaptureView:
         self.viewport_px = (960, 640)
         """Size of the viewport at the last frame."""
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="capture")
+        self.allows_outside = False
+        """Whether files that lie outside of the capture's folder and are named in its files are read."""
+        self.refused: tuple[Path, str] | None = None
+        """A capture that was not opened because its files name others outside of its folder, and the sentence."""
         self._opening: tuple[Path, Future[tuple[Capture, ShownPoints | None]]] | None = None
+        self._allowing = False
         self.in_scene_axes: bool | None = None
         """Whether the capture lies in the scene's units and axes, where a person has said so."""
         self._cameras: tuple[Float64[np.ndarray, "4 4"], RecordedCameras] | None = None
@@ -61,9 +68,15 @@ class CaptureView:
 
     # Opening and closing
 
-    def open(self, path: Path) -> None:
-        """Read a capture in the background; of several, the last one. Trouble is told in `problem`."""
-        self._opening = path, self._thread.submit(_read, path)
+    def open(self, path: Path, *, allow_outside: bool = False) -> None:
+        """Read a capture in the background; of several, the last one. Trouble is told in `problem`.
+
+        One whose files name others outside of its folder is left in `refused`, unless that is allowed.
+        """
+        self.refused = None
+        self._allowing = allow_outside
+        read = partial(_read, allow_outside=True) if allow_outside else _read
+        self._opening = path, self._thread.submit(read, path)
 
     def close_capture(self) -> None:
         """Show none any more."""
@@ -87,11 +100,15 @@ class CaptureView:
             (path, reading), self._opening = self._opening, None
             try:
                 capture, points = reading.result()
+            except OutsideError as error:
+                self.refused = path, str(error)
+                logger.error("%s", error)
             except (CaptureError, OSError, ValueError, MemoryError) as error:
                 session.problem = str(error)
                 logger.error("%s", error)
             else:
                 self._enter(path, capture, points)
+                self.allows_outside = self._allowing
         if self.pictures is not None:
             self.pictures.poll()
 
@@ -200,8 +217,8 @@ def _unit(direction: tuple[float, float, float]) -> Float64[np.ndarray, "3"]:
     return np.asarray(direction, np.float64) / np.linalg.norm(direction)
 
 
-def _read(path: Path) -> tuple[Capture, ShownPoints | None]:
+def _read(path: Path, allow_outside: bool = False) -> tuple[Capture, ShownPoints | None]:
     from gsrain_engine.datasets.open_capture import open_capture  # loads every reader
 
-    capture = open_capture(path)
+    capture = open_capture(path, allow_outside=allow_outside)
     return capture, shown_points(capture)

@@ -113,7 +113,8 @@ class ViewedDocument(EditedDocument):
         t = self.clock.time_s
         if self.view.follow_path:
             camera = self.path.camera(t, width, height)
-            return Shot(camera, t, self.path.velocity(t), camera.fx * focal_scale)
+            stands = not self.path.is_timed and not self.clock.playing  # photos without times, looked at one by one
+            return Shot(camera, t, None if stands else self.path.velocity(t), camera.fx * focal_scale)
         camera = self.navigation.camera(width, height)
         ride = self.following.velocity_m_s if self.chase.velocity_m_s is None else self.chase.velocity_m_s
         velocity = self.navigation.velocity_m_s if ride is None else self.navigation.velocity_m_s + ride

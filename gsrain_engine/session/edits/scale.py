@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
+from gsrain_engine.scene.paths.pace import WALKING_M_S, paced
 from gsrain_engine.scene.scene import Scene
 
 
@@ -17,14 +18,18 @@ def set_length(scene: Scene, measured_m: float, true_m: float) -> Scene:
     """Scale the world so that what measured so many metres is as long as it truly is.
 
     Everything that stands in scene units grows along: layers, tracks, the ego's drive, camera paths. What is in metres
-    stays as it is: rig mounts and rain regions; the ground's height follows. Raises `ValueError` where a length is not
-    above 0.
+    stays as it is: rig mounts and rain regions; the ground's height follows, and so do the times of a camera path that
+    has none of its own. Raises `ValueError` where a length is not above 0.
     """
     if not (measured_m > 0 and true_m > 0 and np.isfinite(measured_m * true_m)):
         raise ValueError(f"Lengths must be above 0 m, not {measured_m:g} m and {true_m:g} m.")
     factor = true_m / measured_m
     ground = None if scene.ground_m is None else scene.ground_m * factor
-    return replace(scene, metres_per_unit=scene.metres_per_unit * factor, ground_m=ground)
+    metres_per_unit = scene.metres_per_unit * factor
+    path = scene.path
+    if path is not None and not path.is_timed:
+        path = paced(path, WALKING_M_S / metres_per_unit)
+    return replace(scene, metres_per_unit=metres_per_unit, ground_m=ground, path=path, unit_is_assumed=False)
 
 
 def set_camera_height(scene: Scene, height_m: float) -> Scene:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gsrain_engine.scene.formats.known_files import KnownFiles
-from gsrain_engine.scene.open_scene import is_built_in, open_to_draw, scene_folder_of
+from gsrain_engine.scene.open_scene import folder_to_read, is_built_in, open_to_draw
 from gsrain_engine.scene.scene import Scene
 
 from .autosave import Autosaved
@@ -26,7 +26,7 @@ class Opened:
 def read_opened(path: str) -> Opened:
     """Read what a person names, as `open_to_draw` does, and raise what that raises."""
     known = KnownFiles()
-    home = scene_folder_of(Path(path)) if not is_built_in(path) else None
+    home = folder_to_read(Path(path)) if not is_built_in(path) else None
     stamp = stamp_of(home) if home is not None else None  # before reading: a change meanwhile is noticed
     source = path if is_built_in(path) else str(home or Path(path).absolute())
     return Opened(open_to_draw(path, known), source, home, stamp, known)

@@ -34,6 +34,8 @@ class Recoloring:
         capture: Path,
         images: Path | None = None,
         options: RecolorOptions | None = None,
+        *,
+        allow_outside: bool = False,
     ) -> None:
         """Cameras come from a capture; so do the pictures, unless a folder has them anew, under the same names."""
         pictures = images or capture
@@ -41,11 +43,12 @@ class Recoloring:
         self.report: Path | None = new_report(f"{scene.name} to {pictures.name}")
         self._scene, self._known = scene, known
         self._capture, self._images, self._options = capture, images, options or RecolorOptions()
+        self._allow_outside = allow_outside
 
     def prepare(self, folder: Path) -> Assignment:
         """Write the scene for the worker."""
         copy = write_copy(self._scene, folder, self._known)
-        arguments = copy, self._capture, self._images, self._options, folder / _COLORS, self.report
+        arguments = copy, self._capture, self._images, self._options, folder / _COLORS, self.report, self._allow_outside
         return Assignment(recolor_copy, arguments)
 
     def snapshot(self, folder: Path) -> Scene | None:
@@ -62,11 +65,17 @@ class Recoloring:
 
 
 def recolor_copy(
-    copy: Path, capture: Path, images: Path | None, options: RecolorOptions, output: Path, report: Path | None
+    copy: Path,
+    capture: Path,
+    images: Path | None,
+    options: RecolorOptions,
+    output: Path,
+    report: Path | None,
+    allow_outside: bool = False,
 ) -> Iterator[Progress]:
     """Work of the job, for another process: solve for a saved scene's wet colours and write them."""
     yield Progress(0.0, "Reading the scene")
-    scene, pictures = read_scene(copy), open_capture(capture)
+    scene, pictures = read_scene(copy), open_capture(capture, allow_outside=allow_outside)
     if images is not None:
         pictures = with_images(pictures, images)
     run = yield from recolor_to_capture(scene, pictures, options)

@@ -23,17 +23,17 @@ class Reconstruction:
 
     preparing = "Starting"
 
-    def __init__(self, capture: Path, settings: TrainingSettings) -> None:
+    def __init__(self, capture: Path, settings: TrainingSettings, *, allow_outside: bool = False) -> None:
         self.title = f"Reconstruct {capture.name}"
         self.report: Path | None = new_report(capture.name)
-        self._capture, self._settings = capture, settings
+        self._capture, self._settings, self._allow_outside = capture, settings, allow_outside
         self._seen_ns = 0
 
     def prepare(self, folder: Path) -> Assignment:
         """Say what is to be done; the worker reads the capture itself."""
         task = ReconstructionTask(
             capture=self._capture, output=folder / _SCENE, settings=self._settings, report=self.report,
-            snapshot=folder / _SNAPSHOT,
+            snapshot=folder / _SNAPSHOT, allow_outside=self._allow_outside,
         )  # fmt: skip
         return Assignment(reconstruct_capture, (task,))
 

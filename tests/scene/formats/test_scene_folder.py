@@ -227,8 +227,8 @@ def test_folders_that_are_no_scenes_are_not_replaced(tmp_path: Path) -> None:
 
 
 def test_a_newer_version_is_neither_read_nor_replaced(folder: Path) -> None:
-    edit(folder, lambda values: values.update(version=4, new_field=True))
-    assert refused(folder).endswith("version 4 is of a newer program; this one reads versions up to 3")
+    edit(folder, lambda values: values.update(version=5, new_field=True))
+    assert refused(folder).endswith("version 5 is of a newer program; this one reads versions up to 4")
     before = (folder / "scene.json").read_bytes()
     with pytest.raises(SceneFormatError, match="newer program"):
         write_scene(sample_scene(), folder)

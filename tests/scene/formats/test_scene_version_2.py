@@ -215,7 +215,7 @@ BAD: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "mirrored": (second("to_scene", 0, 0, -1.0), "one scale above 0 and a place - at `$.layers[1].to_scene`"),
     "stranger": (lambda v: v.update(selections={"x": {"layers/c": ""}}), "there is no layer or actor 'layers/c' - at"),
     "no keys": (lambda v: v.update(path={"keyframes": []}), "of length >= 1 - at `$.path.keyframes`"),
-    "newer": (lambda v: v.update(version=4), "version 4 is of a newer program; this one reads versions up to 3"),
+    "newer": (lambda v: v.update(version=5), "version 5 is of a newer program; this one reads versions up to 4"),
 }
 
 

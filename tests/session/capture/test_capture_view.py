@@ -36,6 +36,25 @@ def _opened(session: Session, capture: Capture) -> None:
     session.captures._enter(Path("small"), capture, shown_points(capture))
 
 
+def test_files_outside_of_the_folder_are_read_when_a_person_says_so(session: Session, tmp_path: Path):
+    folder = written_capture(tmp_path / "drive")
+    picture = next(folder.glob("*[0-9a-z].png"))
+    picture.rename(tmp_path / "elsewhere.png")
+    picture.symlink_to(tmp_path / "elsewhere.png")
+    session.captures.open(folder)
+    _wait(session)
+    assert session.captures.capture is None and session.problem is None
+    session.update(0.01)
+    question = session.questions.present
+    assert question is not None and picture.name in question.text and "--" not in question.text
+    session.questions.answer(question.answers[0])
+    _wait(session)
+    assert session.captures.capture is not None and session.captures.allows_outside
+    session.captures.open(written_capture(tmp_path / "another"))
+    _wait(session)
+    assert not session.captures.allows_outside
+
+
 def test_a_folder_is_opened_in_the_background(session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     may_go_on, threads = threading.Event(), []
     read = capture_view._read

@@ -1,0 +1,100 @@
+"""What is no capture is told by the kind that it is nearest to, and what it lacks."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from app.command_line import BAD_INPUT, run
+from colmap_files import write_binary, write_pictures
+from datasets.test_kitti_odometry import write_sequence
+from datasets.test_kitti_raw import drive_on_the_road, write_kitti
+from datasets.test_nuscenes import write_nuscenes
+from gsrain_engine.datasets.capture import CaptureError
+from gsrain_engine.datasets.nearest_kind import nearest_kind
+from gsrain_engine.datasets.open_capture import open_capture
+from mini_drive import MiniDrive
+
+
+def kitti_without_oxts(folder: Path) -> Path:
+    write_kitti(folder, drive_on_the_road())
+    drive = next(folder.glob("*_drive_*"))
+    shutil.rmtree(drive / "oxts")
+    return drive
+
+
+def kitti_day_without_oxts(folder: Path) -> Path:
+    kitti_without_oxts(folder)
+    return folder
+
+
+def kitti_drive_without_calibration(folder: Path) -> Path:
+    drive = kitti_without_oxts(folder)
+    for file in folder.glob("calib_*.txt"):
+        file.unlink()
+    return drive
+
+
+def sequence_without_times(folder: Path) -> Path:
+    sequence = write_sequence(folder)
+    (sequence / "times.txt").unlink()
+    return sequence
+
+
+def nuscenes_without_sample_data(folder: Path) -> Path:
+    write_nuscenes(folder, MiniDrive())
+    (folder / "v1.0-mini" / "sample_data.json").unlink()
+    return folder
+
+
+def colmap_without_images(folder: Path) -> Path:
+    write_binary(folder / "sparse" / "0")
+    (folder / "sparse" / "0" / "images.bin").unlink()
+    return folder
+
+
+def cameras_alone(folder: Path) -> Path:
+    (folder / "cameras.json").write_text("[]")
+    return folder
+
+
+def meta_alone(folder: Path) -> Path:
+    (folder / "meta.json").write_text('{"title": "my pictures"}')
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("write", "told"),
+    [
+        (kitti_without_oxts, "KITTI raw without oxts"),
+        (kitti_day_without_oxts, "KITTI raw without oxts"),
+        (kitti_drive_without_calibration, "KITTI raw without oxts and calib_cam_to_cam.txt"),
+        (sequence_without_times, "KITTI odometry without times.txt"),
+        (nuscenes_without_sample_data, "nuScenes without v1.0-*/sample_data.json"),
+        (colmap_without_images, "COLMAP without images.bin"),
+        (cameras_alone, "capture folder without pictures"),
+        (meta_alone, "SOG without its pictures (*.webp)"),
+    ],
+)
+def test_the_nearest_kind_is_named(tmp_path: Path, write, told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path)
+    with pytest.raises(CaptureError) as error:
+        open_capture(path)
+    assert f"nearest is {told}" in str(error.value)
+    assert run(["info", str(path)]) == BAD_INPUT
+    printed = capsys.readouterr().err
+    assert told in printed and printed.count("\n") == 1
+
+
+def test_nothing_is_near_to_an_empty_folder(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("no capture")
+    assert nearest_kind(tmp_path) is None and nearest_kind(tmp_path / "notes.txt") is None
+    with pytest.raises(CaptureError, match="not a capture that is known; expected one of"):
+        open_capture(tmp_path)
+
+
+def test_pictures_whose_model_is_incomplete_are_not_opened_without_a_word(tmp_path: Path) -> None:
+    write_pictures(colmap_without_images(tmp_path) / "images")
+    capture = open_capture(tmp_path)
+    assert not capture.has_poses
+    assert any("nearest to the folder is COLMAP without images.bin" in each for each in capture.problems)
