@@ -18,6 +18,7 @@ from gsrain_engine.rain.fitting.result import FittedCalibration, FittedRow
 
 from .arguments import JsonFile, write_numbers
 from .converted_options import converted_options
+from .outputs import check_writable
 from .progress import progress_bar
 
 _DEFAULTS = FitOptions()
@@ -52,6 +53,7 @@ def calibrate(
         raise ValueError(f"{output}: expected a name that ends with .yaml")
     if plot is not None:
         check_plot_name(plot)
+    check_writable(output, plot, json)
     measured: list[MeasuredFile] = []
     with progress_bar("Reading", len(files)) as advance:
         for path in files:

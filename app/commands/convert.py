@@ -17,6 +17,7 @@ from gsrain_engine.session.edits.scale import set_camera_height
 from .arguments import JsonFile, write_numbers
 from .marked import marked, marked_text
 from .orientation import Orientation
+from .outputs import check_scene_target, check_writable
 
 _OWN = "own"
 """A scene's own camera path, where a file could be named."""
@@ -54,6 +55,8 @@ def convert(
     """
     if wetness is not None and not 0 <= wetness <= 1:
         raise ValueError(f"--wetness {wetness:g}: must be within 0..1")
+    check_scene_target(target)
+    check_writable(json)
     scene = (orientation or Orientation()).of(open_scene(source))
     if level or camera_height is not None:
         scene = level_from_ground(scene)

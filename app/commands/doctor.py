@@ -12,6 +12,7 @@ import numpy as np
 from .arguments import JsonFile, write_numbers
 from .display import has_display
 from .installed_extensions import describe, installed_extensions
+from .outputs import check_writable
 
 
 class Finding(NamedTuple):
@@ -25,6 +26,7 @@ class Finding(NamedTuple):
 
 def doctor(*, json: JsonFile = None) -> int:
     """Look for everything that GSRAIN can use. Exit code 1 when something that it needs is missing."""
+    check_writable(json)
     video = _video()
     needed = [_opengl(), _threads()] if is_frozen() else [_opengl(), video, _threads()]
     optional = [

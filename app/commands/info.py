@@ -17,6 +17,7 @@ from gsrain_engine.scene.scene import Scene
 from .arguments import JsonFile, write_numbers
 from .capture_info import capture_info
 from .marked import marked, marked_text
+from .outputs import check_picture, check_writable
 from .sources import names_scene
 
 
@@ -31,6 +32,8 @@ def info(
     json: JsonFile = None,
 ) -> None:
     """Print what a scene holds (counts, bounds, harmonics, memory) or a capture (cameras, lidar, boxes, problems)."""
+    check_picture("--overlay", overlay)
+    check_writable(overlay, json)
     if not names_scene(scene) and capture_format(scene) is not None:
         write_numbers(json, capture_info(Path(scene), check, overlay))
         return

@@ -29,11 +29,14 @@ from gsrain_engine.session.view.home_camera import front_camera, home_camera
 
 from .arguments import JsonFile, parse_size, write_numbers
 from .orientation import Orientation
+from .outputs import check_writable
 from .progress import followed, progress_bar
 from .render_options import RainOptions, RecordingOptions
 from .rendered_weather import rendered_weather
 
 _MOST_LISTED = 6
+_FILE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".mp4", ".webm", ".json")
+"""Of what a recording writes; all else is a folder, though its name may have dots: frames.clear, clip.depth."""
 
 
 def render(
@@ -76,6 +79,7 @@ def render(
     )
     asked.check()
     _check(duration=duration, frame=frame)
+    check_writable(json)
     opened = (orientation or Orientation()).of(open_to_draw(scene))
     if labels is not None and not scene_objects(opened):
         raise ValueError(f"--labels {labels}: scene {opened.name!r} has no actors that labels could be about")
@@ -88,6 +92,7 @@ def render(
     viewpoint = _viewpoint(opened, camera, camera_path, asked)
     sequences = sequences_of(asked, opened, falling, viewpoint, in_scene_time=is_own_path)
     numbers = _frame_numbers(asked, sequences, duration, frame)
+    _check_outputs(asked, list(sequences), labels, json)
     with open_renderer(backend) as renderer:
         report = _record(renderer, asked, sequences, numbers, look)
         labelled = _label(renderer, labels, asked, sequences, numbers[: report["frames"]])
@@ -170,6 +175,18 @@ def _check(*, duration: float | None, frame: int | None) -> None:
         raise ValueError(f"--duration {duration:g}: must be above 0 and at most 36000 s")
     if frame is not None and frame < 0:
         raise ValueError(f"--frame {frame}: must be 0 or more")
+
+
+def _check_outputs(recording: Recording, cameras: Sequence[str], labels: LabelFormat | None, json: Path | None) -> None:
+    """Raise ValueError for what could not be written once it is rendered."""
+    written = outputs(recording, cameras)
+    if labels is not None:
+        from gsrain_engine.render.objects.label_files import label_outputs  # and OpenCV, which no picture needs
+
+        written += label_outputs(labels, recording, cameras)
+    folders = [path for path in written if path.suffix.lower() not in _FILE_ENDINGS]
+    files = [path for path in written if path not in folders]
+    check_writable(json, *files, folders=dict.fromkeys(folders))
 
 
 def _made_rainy(scene: Scene) -> Scene:

@@ -51,7 +51,7 @@ def train_transfer(
         config, device=device, steps=steps, base=base, clip=clip, lpips=lpips, start=start, seed=seed,
         clear=_sources(clear), rainy=_sources(rainy),
     )  # fmt: skip
-    check_writable(json)
+    check_writable(json, folders=[output])
     task = TrainingTask(settings=settings, output=output, resume=resume)
     try:
         result = followed(work(task))

@@ -17,7 +17,7 @@ from gsrain_engine.appearance.transferred_folder import check_transferred_folder
 from gsrain_engine.render.pictures import write_sheet
 
 from .arguments import JsonFile, write_numbers
-from .outputs import check_writable
+from .outputs import check_picture, check_writable
 from .progress import progress_bar
 from .transfer_options import MethodOptions, ViewOptions
 
@@ -39,8 +39,9 @@ def transfer(
     how, where = method or MethodOptions(), views or ViewOptions()
     settings, choice = how.settings, where.choice
     how.check()
+    check_picture("--sheet", sheet)
+    check_writable(sheet, json, folders=[output])
     check_transferred_folder(output)
-    check_writable(output, sheet, json)
     # Kernels take a second to load: only now, that there is something to do.
     from .transferred_views import source_views
 

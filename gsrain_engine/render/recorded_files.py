@@ -5,6 +5,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from gsrain_engine.scene.file_names import shortened
+
 from .recording import Pass, Recording
 
 
@@ -67,7 +69,7 @@ def recorded_files(recording: Recording, camera: str | None, *, is_clear: bool =
     path, passes = recording.path, frozenset(recording.passes)
     if camera is not None:
         suffix = path.suffix or recording.usual_suffix
-        path = path.with_suffix("") / (re.sub(r"[^\w-]+", "_", camera) + suffix)
+        path = path.with_suffix("") / (shortened(re.sub(r"[^\w-]+", "_", camera)) + suffix)
     is_folder = path.suffix == ""
     if is_clear:
         path, passes = path.with_name(f"{path.stem}.clear{path.suffix}"), passes - {"depth", "labels"}

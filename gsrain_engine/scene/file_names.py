@@ -22,14 +22,20 @@ _IMPOSSIBLE = re.compile(r'[\\/:*?"<>|\x00-\x1f\x7f]+')
 def file_word(name: str, max_bytes: int = _STEM_BYTES) -> str:
     """Return a name as part of a file's: what would lead into another folder, or nowhere, becomes a dash.
 
-    One of more than `max_bytes` (UTF-8) is cut, and ends in a hash of the whole: other names of the same beginning stay
-    apart, and the same name gives the same word everywhere.
+    One of more than `max_bytes` is `shortened`.
     """
-    word = _IMPOSSIBLE.sub("-", name).lstrip(".") or "-"
-    whole = os.fsencode(word) if _is_encodable(word) else word.encode(errors="replace")
-    if len(whole) <= max_bytes and _is_encodable(word):
-        return word
-    digest = hashlib.blake2b(name.encode(errors="surrogatepass"), digest_size=_HASH_DIGITS // 2).hexdigest()
+    return shortened(_IMPOSSIBLE.sub("-", name).lstrip(".") or "-", max_bytes)
+
+
+def shortened(name: str, max_bytes: int = _STEM_BYTES) -> str:
+    """Return a name of at most so many bytes: one that is longer is cut, and ends in a hash of the whole.
+
+    Names of the same beginning stay apart, and the same name gives the same word everywhere.
+    """
+    whole = _bytes(name)
+    if len(whole) <= max_bytes:
+        return os.fsdecode(whole)
+    digest = hashlib.blake2b(whole, digest_size=_HASH_DIGITS // 2).hexdigest()
     return f"{whole[: max_bytes - _HASH_DIGITS - 1].decode(errors='ignore')}-{digest}"
 
 
@@ -57,9 +63,8 @@ def _max_name_bytes(folder: Path) -> int:
     return DEFAULT_NAME_BYTES
 
 
-def _is_encodable(word: str) -> bool:
+def _bytes(name: str) -> bytes:
     try:
-        word.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
+        return os.fsencode(name)
+    except UnicodeEncodeError:  # half of a pair of UTF-16, which no file's name can hold
+        return name.encode(errors="replace")

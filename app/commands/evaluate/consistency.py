@@ -20,7 +20,7 @@ from gsrain_engine.render.pictures import write_sheet
 from gsrain_engine.scene.content_hash import file_hash
 
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
-from ..outputs import check_writable
+from ..outputs import check_page, check_picture
 from ..progress import progress_bar
 from .consistency_numbers import print_agreements, report_of
 from .consistency_page import consistency_page
@@ -61,7 +61,8 @@ def consistency(
     square over matched pixels, in levels of 255; "per contrast" divides each by its picture's contrast.
     """
     _check(folders, neighbours, film, sheet_pairs)
-    check_writable(sheet, report, json)
+    check_picture("--sheet", sheet)
+    check_page(report, json, sheet)
     compared = [open_compared(folder, width) for folder in folders]
     pairs = compared[0].chosen(neighbours)
     if not pairs:

@@ -12,9 +12,10 @@ from rich.console import Console
 
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.evaluate.detection.detector import Detector, open_detector
+from gsrain_engine.render.video import SUFFIXES as VIDEO_SUFFIXES
 
 from ..arguments import JsonFile, write_numbers
-from ..outputs import check_writable
+from ..outputs import check_ending, check_writable
 from ..progress import progress_bar
 from .detection_memory import opened_memory
 from .detection_numbers import detection_numbers, print_scores
@@ -86,7 +87,8 @@ def detection(
     _check_installed()
     intensities = _intensities(rain)
     _check(seeds=seeds, frames=frames, width=width, first=first, last=last)
-    check_writable(output, video, json)
+    check_ending("--video", video, VIDEO_SUFFIXES)
+    check_writable(video, json, folders=[output])
     detectors = _detectors(detector, description)
     asked = DetectionSource(source, capture, truth, frames, first, last, tuple(_words(cameras)), width, wet)
     rainfall = base_rain(preset, exposure)

@@ -22,7 +22,7 @@ from gsrain_engine.evaluate.report.report_file import write_report
 from gsrain_engine.evaluate.report.run_report import ReportTable, RunReport
 
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
-from ..outputs import check_writable
+from ..outputs import check_page
 from ..progress import progress_bar
 from .run_facts import run_facts, set_hash, told_facts, write_beside
 
@@ -75,7 +75,7 @@ def fid(
     """
     names = [name.strip() for name in extractor.split(",")]
     _check(names, weights, resamples)
-    check_writable(report, json)
+    check_page(report, json)
     kept = FeatureCache() if cache else None
     extractors = [
         _extractor(ExtractorChoice(name=name, weights=weights, device=device, allows_torchscript=torchscript))

@@ -25,7 +25,7 @@ from gsrain_engine.evaluate.report.report_file import write_report
 from gsrain_engine.evaluate.report.run_report import RunReport
 
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
-from ..outputs import check_writable
+from ..outputs import check_page
 from ..progress import progress_bar
 from .perceived import perceived_distance
 from .run_facts import run_facts, set_hash, told_facts, write_beside
@@ -59,7 +59,7 @@ def images(
 
     PSNR in dB and SSIM (at most 1) are higher for closer pictures, LPIPS (0 for equal ones) is lower.
     """
-    check_writable(report, json)
+    check_page(report, json)
     first, second = open_capture(shown), open_capture(truth)
     others = {view.name: view for view in second}
     pairs = [(view, others[view.name]) for view in first if view.name in others]

@@ -59,7 +59,7 @@ def transfers(
     told = load_comparison(comparison)
     names = tuple(name.strip() for name in only.split(",") if name.strip())
     told = told.only(names) if names else told
-    check_writable(output / "table.md", json)
+    check_writable(output / "table.md", json, folders=[output, *(output / each.name for each in told.methods)])
     for each in told.methods:
         if each.method != CLEAR and method_of(each.method).needs_torch:
             require_torch(f"method {each.name!r}", HOW_TO_GET_DIFFUSION)

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from gsrain_engine.evaluate.series_styles import SeriesStyle, series_styles
 from gsrain_engine.rain.rain import CALIBRATED_UP_TO_MM_H
+from gsrain_engine.untrusted.figure_words import figure_words
 
 from .summary import Cell, Spread
 
@@ -49,11 +50,12 @@ def scenario_figure(cells: Sequence[Cell]) -> UInt8[np.ndarray, "h w 3"]:
     for number, (panel, (title, value)) in enumerate(zip(panels, _PANELS, strict=True)):
         for place, agent in enumerate(agents):
             own = [cell for cell in cells if cell.agent == agent]
-            _curve(panel, own, value, styles[place], agent, aside * (place - (len(agents) - 1) / 2))
+            _curve(panel, own, value, styles[place], figure_words(agent, 28), aside * (place - (len(agents) - 1) / 2))
         _dress(panel, title, cells, is_lowest=number >= columns)
     runs = sorted({cell.runs for cell in cells})
     seeds = f"{runs[0]}" if len(runs) == 1 else f"{runs[0]} to {runs[-1]}"
-    figure.suptitle(f"{cells[0].scenario} in {PurePath(cells[0].scene).name}: {seeds} drives a point", fontsize=11)
+    where = f"{figure_words(cells[0].scenario)} in {figure_words(PurePath(cells[0].scene).name)}"
+    figure.suptitle(f"{where}: {seeds} drives a point", fontsize=11)
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside lower center", frameon=False, fontsize=9,
         ncols=min(len(agents), _LEGEND_COLUMNS),

@@ -11,6 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 
+from gsrain_engine.untrusted.figure_words import figure_words
+
 from ..series_styles import SeriesStyle, legend_at_right, legend_width_in, series_styles
 from .summary import Spread, WeatherScore
 from .sweep import Row
@@ -44,7 +46,7 @@ def object_figure(rows: Sequence[Row], number: Literal["confidence", "iou"]) -> 
     many: dict[str, set[str]] = defaultdict(set)
     for row in rows:
         many[row.class_name].add(row.object)
-    classes = {name: f"{name}, {_counted(many[name])}" for name in sorted(many)}
+    classes = {name: f"{figure_words(name, 20)}, {_counted(many[name])}" for name in sorted(many)}
     blocks = [("object", objects), ("class_name", classes)] if len(classes) > 1 else [("object", objects)]
     detectors = list(dict.fromkeys(row.detector for row in rows))
     columns = min(len(detectors), _MOST_PANELS)
@@ -61,7 +63,7 @@ def object_figure(rows: Sequence[Row], number: Literal["confidence", "iou"]) -> 
             for style, name in zip(styles, names, strict=True):
                 _curve(panel, [row for row in own if getattr(row, field) == name], number, style, names[name])
             _everything(panel, own, number)
-            _dress(panel, detector, _WORDS[number] if place % columns == 0 else "")
+            _dress(panel, figure_words(detector), _WORDS[number] if place % columns == 0 else "")
         for panel in grid[len(detectors) :]:
             panel.set_axis_off()
         handles, labels = grid[0].get_legend_handles_labels()
@@ -81,11 +83,13 @@ def precision_figure(scores: Sequence[WeatherScore]) -> Figure:
             own = [each for each in scores if each.detector == detector]
             drawn = _one_without_rain(own)
             spreads: list[Spread] = [getattr(each, number) for each in drawn]
-            _band(panel, [each.intensity_mm_h for each in drawn], spreads, style, detector)
+            _band(panel, [each.intensity_mm_h for each in drawn], spreads, style, figure_words(detector, 28))
             for each in own:
                 if each not in drawn:
                     value = getattr(each, number).mean
-                    panel.plot([0], [value], "x", color=style.color, label=f"{detector}, pictures as taken")
+                    panel.plot(
+                        [0], [value], "x", color=style.color, label=f"{figure_words(detector, 28)}, pictures as taken"
+                    )
         _dress(panel, "", _WORDS[number])
     legend_at_right(figure, *panels[0].get_legend_handles_labels(), _HEIGHT_IN)
     return figure
@@ -116,7 +120,7 @@ def shown_objects(rows: Sequence[Row]) -> dict[str, str]:
 def _called(name: str, class_name: str, distance_m: float, frames: int) -> str:
     short = name if len(name) <= 14 else f"{name[:6]}..{name[-6:]}"
     where = f", {distance_m:.0f} m" if np.isfinite(distance_m) else ""
-    return f"{short}: {class_name}{where}, {frames} frame{'s' if frames > 1 else ''}"
+    return f"{figure_words(short)}: {figure_words(class_name, 20)}{where}, {frames} frame{'s' if frames > 1 else ''}"
 
 
 def _counted(objects: set[str]) -> str:

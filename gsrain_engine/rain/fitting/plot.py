@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.untrusted.figure_words import figure_words
 
 from ..calibration import Interval, atlas_velocity, load_calibration
 from ..drop_sizes import LARGEST_MM, SMALLEST_MM, DropSizes
@@ -70,8 +71,8 @@ def draw_calibration(fitted: FittedCalibration) -> Figure:
 
 def _headline(fitted: FittedCalibration) -> str:
     provenance = fitted.calibration.provenance
-    instrument = f"{provenance.instrument}, " if provenance else ""
-    return f"{fitted.calibration.name}: {instrument}{fitted.records_used:,} of {fitted.records:,} records in rows"
+    instrument = f"{figure_words(provenance.instrument)}, " if provenance else ""
+    return f"{figure_words(fitted.calibration.name)}: {instrument}{fitted.records_used:,} of {fitted.records:,} records in rows"
 
 
 def _draw_spectra(axes: Axes, fitted: FittedCalibration) -> None:
