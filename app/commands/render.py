@@ -44,7 +44,10 @@ def render(
     /,
     *,
     output: Annotated[
-        Path, Parameter(name=["--output", "-o"], help="PNG, EXR, NPY, MP4, WebM, or a folder for PNG or EXR frames.")
+        Path,
+        Parameter(
+            name=["--output", "-o"], help="PNG, JPEG, EXR, NPY, MP4, WebM, or a folder for PNG, JPEG or EXR frames."
+        ),
     ],
     rain: RainOptions | None = None,
     recording: RecordingOptions | None = None,

@@ -27,7 +27,8 @@ class RecordedFiles:
 
     def color(self, number: int) -> Path:
         """Where the colours of a frame go."""
-        return self.path / f"{number:06d}.{self.format}" if self.is_folder else self.path
+        ending = "jpg" if self.format == "jpeg" else self.format
+        return self.path / f"{number:06d}.{ending}" if self.is_folder else self.path
 
     def beside(self, number: int, name: Pass) -> Path:
         """Where another pass of a frame goes."""

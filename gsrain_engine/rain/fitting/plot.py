@@ -72,7 +72,8 @@ def draw_calibration(fitted: FittedCalibration) -> Figure:
 def _headline(fitted: FittedCalibration) -> str:
     provenance = fitted.calibration.provenance
     instrument = f"{figure_words(provenance.instrument)}, " if provenance else ""
-    return f"{figure_words(fitted.calibration.name)}: {instrument}{fitted.records_used:,} of {fitted.records:,} records in rows"
+    name = figure_words(fitted.calibration.name)
+    return f"{name}: {instrument}{fitted.records_used:,} of {fitted.records:,} records in rows"
 
 
 def _draw_spectra(axes: Axes, fitted: FittedCalibration) -> None:

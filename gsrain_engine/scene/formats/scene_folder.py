@@ -8,6 +8,8 @@ from pathlib import Path
 
 import msgspec
 
+from gsrain_engine.untrusted.explained_errors import explained
+
 from ..atomic_files import sync, telling_of, whole_file, whole_folder
 from ..errors import SceneFormatError
 from ..file_lock import locked
@@ -258,7 +260,7 @@ def _read_record(folder: Path) -> SceneRecord:
     try:
         return msgspec.json.decode(data, type=SceneRecord)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise SceneFormatError(folder / SCENE_FILE, str(error)) from None
+        raise SceneFormatError(folder / SCENE_FILE, explained(error, SceneRecord)) from None
 
 
 def _checked_version(folder: Path) -> bytes:
