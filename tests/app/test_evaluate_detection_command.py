@@ -183,16 +183,16 @@ def test_objects_of_many_classes_are_drawn_and_those_without_a_word_are_listed_a
     (tmp_path / "truth.json").write_text(json.dumps(truth))
     options = ("--truth", str(tmp_path / "truth.json"), "--rain", "8", "--seeds", "1", "-o", str(tmp_path / "out"))
     assert evaluate(tmp_path / "pictures", detector, *options) == 0
-    assert "Not asked of tiny, which has no word for them: sign (1)." in capsys.readouterr().out
+    assert "Not asked of red, which has no word for them: sign (1)." in capsys.readouterr().out
     numbers = json.loads((tmp_path / "out" / "detection.json").read_text())
-    assert numbers["not_named"] == {"tiny": {"sign": 1}}
+    assert numbers["not_named"] == {"red": {"sign": 1}}
     assert {row["class"] for row in numbers["rows"]} == {"car", "truck", "person", "vehicle"}
     assert (tmp_path / "out" / "confidence.png").is_file()
     assert "no word for them: sign (1)" in (tmp_path / "out" / "report.html").read_text()
     truth["annotations"] = truth["annotations"][4:]
     (tmp_path / "truth.json").write_text(json.dumps(truth))
     assert evaluate(tmp_path / "pictures", detector, *options) == BAD_INPUT
-    assert "nothing there can be named: tiny has no word for sign (1)" in capsys.readouterr().err
+    assert "nothing there can be named: red has no word for sign (1)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
