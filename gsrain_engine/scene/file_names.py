@@ -3,6 +3,7 @@
 import hashlib
 import os
 import re
+import sys
 from pathlib import Path
 
 from gsrain_engine.untrusted.printable import printable
@@ -36,13 +37,18 @@ def shortened(name: str, max_bytes: int = _STEM_BYTES) -> str:
     if len(whole) <= max_bytes:
         return os.fsdecode(whole)
     digest = hashlib.blake2b(whole, digest_size=_HASH_DIGITS // 2).hexdigest()
-    return f"{whole[: max_bytes - _HASH_DIGITS - 1].decode(errors='ignore')}-{digest}"
+    return f"{whole[: max_bytes - _HASH_DIGITS - 1].decode(sys.getfilesystemencoding(), errors='ignore')}-{digest}"
 
 
 def name_problem(path: Path) -> str | None:
     """Return what a disk has against the name of a file or folder that is to be written; None where nothing."""
     if "\0" in str(path):
         return "a name can't hold a zero byte"
+    try:
+        os.fsencode(path)
+    except UnicodeEncodeError as error:
+        sign = repr(error.object[error.start : error.end])
+        return f"the character set of this system ({error.encoding}) lacks {sign}; set LC_ALL=C.UTF-8"
     place = Path(os.path.abspath(path))  # noqa: PTH100  that of Path keeps `..`, which counts
     max_bytes = _max_name_bytes(place.parent)
     for part in place.parts[1:]:
