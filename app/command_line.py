@@ -1,6 +1,9 @@
 """The command line: which commands there are, and how bad input ends (one line, exit code 2)."""
 
 import logging
+import os
+import select
+import sys
 from contextvars import copy_context
 from difflib import get_close_matches
 from importlib import metadata
@@ -17,9 +20,11 @@ from .commands.view import view
 from .console import Console, console_log, use_any_encoding
 from .installed_evaluations import add_installed_evaluations
 
-BAD_INPUT, INTERRUPTED = 2, 130
+BAD_INPUT, INTERRUPTED, NOBODY_READS = 2, 130, 141
 _OURS = ("gsrain", "gsrain_engine", "app")
 """Loggers whose news the command line passes on."""
+_HARMLESS = frozenset({"--help", "-h", "--version"})
+"""Need no working directory."""
 
 app = App(
     name="gsrain",
@@ -124,6 +129,9 @@ def _run(arguments: list[str], errors: Console) -> int:
     if (meant := _misspelt(arguments)) is not None:
         errors.print(f"gsrain: {meant}")
         return BAD_INPUT
+    if not _HARMLESS.intersection(arguments) and not _has_working_directory():
+        errors.print("gsrain: the working directory was removed; cd to one that is there")
+        return BAD_INPUT
     if arguments[:1] == ["evaluate"]:
         add_installed_evaluations(evaluations, _OUR_EVALUATIONS, arguments[1:])
     try:
@@ -133,12 +141,39 @@ def _run(arguments: list[str], errors: Console) -> int:
         errors.print(f"gsrain: {_one_line(str(error))}")
         return BAD_INPUT
     except (ValueError, OSError, MemoryError) as error:
+        if isinstance(error, BrokenPipeError) and _nobody_reads():
+            return NOBODY_READS
         errors.print(f"gsrain: {_one_line(sentence_of(error))}")
+        return BAD_INPUT
+    except ImportError as error:
+        if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in _OURS:
+            raise
+        errors.print(f"gsrain: a library can't be loaded: {_one_line(str(error))}; gsrain doctor says what is missing")
         return BAD_INPUT
     except KeyboardInterrupt:
         errors.print("gsrain: stopped")
         return INTERRUPTED
     return code if isinstance(code, int) else 0
+
+
+def _has_working_directory() -> bool:
+    try:
+        return Path.cwd().is_dir()
+    except OSError:
+        return False
+
+
+def _nobody_reads() -> bool:
+    """Whether it was standard output whose reader has gone, as `head` goes; then nothing more is written to it."""
+    try:
+        poll = select.poll()
+        poll.register(sys.stdout.fileno(), 0)
+        is_broken = any(event & select.POLLERR for _, event in poll.poll(0))
+        if is_broken:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python tries once more as it ends
+    except (AttributeError, OSError, ValueError):  # no poll, no file behind it, or a closed one
+        return False
+    return is_broken
 
 
 def _misspelt(arguments: list[str]) -> str | None:

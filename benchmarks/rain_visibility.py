@@ -29,7 +29,47 @@ def main() -> None:
     street = cached_street()
     rows = [measure(street, load_preset(name), seed) for name in INTENSITIES for seed in range(SEEDS)]
     rows.append(measure(street, load_preset("paper"), 0) | {"preset": "paper"})
-    print(json.dumps({"scene": street.name, "size": SIZE, "rows": rows}, indent=1))
+    advice = StreetStills(street).advice()
+    print(json.dumps({"scene": street.name, "size": SIZE, "rows": rows, "advice_percent": advice}, indent=1))
+
+
+class StreetStills:
+    """Stills of the street 2 s into the default drive, and how far streaks alone move their pixels."""
+
+    def __init__(self, street: Scene) -> None:
+        self._street, self._renderer = street, CpuRenderer()
+        path = default_path(street, *SIZE)
+        sequence = FrameSequence(street, Rainfall.start(load_preset("clear")), path, *SIZE, start_s=2.0)
+        self._shot, self._sky = sequence.shot(0), sequence.sky(self._renderer).color
+        self.clear = self._still(load_preset("clear"))
+
+    def advice(self) -> dict[str, float]:
+        """Return the percentages of the table in docs/faq.md, in its order."""
+        brightest = self.clear.max(axis=-1)
+        everywhere = np.ones(brightest.shape, bool)
+        rows: list[tuple[str, np.ndarray, dict[str, object]]] = [
+            ("as it is", everywhere, {}),
+            ("dark", brightest < 80, {}),
+            ("bright", brightest > 180, {}),
+            ("rain 25", everywhere, {"intensity_mm_h": 25.0}),
+            ("rain 50", everywhere, {"intensity_mm_h": 50.0}),
+            ("exposure 0.001", everywhere, {"exposure_s": 0.001}),
+            ("exposure 0.02", everywhere, {"exposure_s": 0.02}),
+            ("streak_gain 3", everywhere, {"streak_gain": 3.0}),
+        ]
+        return {name: self.moved_percent(where, **fields) for name, where, fields in rows}
+
+    def moved_percent(self, where: np.ndarray, **fields: object) -> float:
+        """Percentage of some pixels that streaks alone move by more than 8 of 255 levels in a channel."""
+        rainy = self._still(msgspec.structs.replace(load_preset("8.5"), **STREAKS, **fields))
+        moved = np.abs(rainy.astype(int) - self.clear).max(axis=-1) > 8
+        return 100 * float(moved[where].mean())
+
+    def _still(self, rain: Rain) -> np.ndarray:
+        shot = self._shot
+        falling = rain_in(self._street, Rainfall.start(rain), self._sky, shot)
+        self._renderer.draw(self._street.parts(2.0), shot.camera, falling)
+        return self._renderer.read().to_uint8()
 
 
 def measure(street: Scene, rain: Rain, seed: int) -> dict[str, float]:

@@ -1,9 +1,13 @@
 """The rain of the built-in street, as a person sees it: against its own still without rain, over seeds."""
 
+import re
+from pathlib import Path
+
 import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.rain_visibility import StreetStills
 from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
@@ -12,6 +16,7 @@ from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.open_scene import cached_street
 from gsrain_engine.session.view.home_camera import default_path
 
+REPOSITORY = Path(__file__).resolve().parents[1]
 SEEDS, INTENSITIES = range(5), ("1.2", "8.5", "12.0")
 STREAKS, HAZE = {"haze": False}, {"streaks": False}
 
@@ -63,6 +68,15 @@ def test_the_paper_s_streaks_are_far_fainter(stills):
     difference = np.abs(stills.picture("paper", **STREAKS).rgba - stills.clear.rgba)[..., :3] * 255
     physical = np.abs(stills.picture("8.5", **STREAKS).rgba - stills.clear.rgba)[..., :3] * 255
     assert 0 < difference.max() < 4 < physical.max()
+
+
+def test_advice_on_faint_rain_does_what_it_says(stills):
+    told = re.findall(r"^\| (.+) \| ([\d.]+) \|$", (REPOSITORY / "docs" / "faq.md").read_text(), re.MULTILINE)
+    measured = StreetStills(stills.street).advice()
+    assert len(told) == len(measured) == 8
+    for (advice, percent), (name, value) in zip(told, measured.items(), strict=True):
+        assert value == pytest.approx(float(percent), rel=0.1, abs=0.01), (advice, name)
+    assert measured["exposure 0.001"] > measured["as it is"] > measured["exposure 0.02"]
 
 
 def test_the_sky_tints_the_drops(stills):

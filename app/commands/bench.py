@@ -26,6 +26,7 @@ from gsrain_engine.session.view.home_camera import default_path
 from ..console import Console, Table
 from .arguments import JsonFileOrScreen, listed, parse_size, words_go_to, write_numbers
 from .converted_options import RAIN_OPTIONS, converted_options
+from .outputs import check_writable
 from .progress import progress_bar
 
 _SCENES = "random-50k,random-100k,random-200k,random-400k,random-800k,random-1m,random-3m,street"
@@ -48,6 +49,7 @@ def render(
     json: JsonFileOrScreen = None,
 ) -> dict[str, Any]:
     """Time frames of fixed scenes: make the rain, draw, fetch the picture. Medians, by back end, size and rain."""
+    check_writable(json)
     if not 1 <= frames <= 10_000:
         raise ValueError(f"--frames {frames}: must be within 1..10000")
     resolutions = [parse_size(each, "--sizes") for each in listed("--sizes", sizes)]

@@ -17,6 +17,9 @@ def bench_all(
     json: JsonFileOrScreen = None,
 ) -> None:
     """Time this machine: frames in rain and without, loading, recolouring. The commands time one, with options."""
+    from .outputs import check_writable
+
+    check_writable(json)
     from .bench import render  # the engine loads only for this
     from .bench_loading import loading
     from .bench_recoloring import recoloring

@@ -13,6 +13,7 @@ from gsrain_engine.scene.formats.loading_times import WRITTEN, LoadingTimes, tim
 from ..console import Console, Table
 from .arguments import JsonFileOrScreen, listed, words_go_to, write_numbers
 from .bench import timed_scene
+from .outputs import check_writable
 from .progress import progress_bar
 
 _FOLDER = "folder"
@@ -31,6 +32,7 @@ def loading(
     json: JsonFileOrScreen = None,
 ) -> dict[str, Any]:
     """Time writing and reading scenes, from the system's file cache. Medians, by scene and format."""
+    check_writable(json)
     if not 1 <= repeats <= 1000:
         raise ValueError(f"--repeats {repeats}: must be within 1..1000")
     suffixes = [_suffix(each) for each in listed("--formats", formats)]

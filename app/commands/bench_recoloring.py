@@ -18,6 +18,7 @@ from gsrain_engine.session.view.home_camera import default_path
 from ..console import Console, Table
 from .arguments import JsonFileOrScreen, listed, parse_size, words_go_to, write_numbers
 from .bench import timed_scene
+from .outputs import check_writable
 from .progress import progress_bar
 
 
@@ -33,6 +34,7 @@ def recoloring(
     json: JsonFileOrScreen = None,
 ) -> dict[str, Any]:
     """Time recolouring scenes to darkened pictures of themselves: looking, choosing, solving, measuring."""
+    check_writable(json)
     if not 1 <= views <= 1000:
         raise ValueError(f"--views {views}: must be within 1..1000")
     width, height = parse_size(size)

@@ -18,6 +18,7 @@ from ..console import Console, Table, print, print_lines
 from .arguments import JsonFile, write_numbers
 from .converted_options import converted_options
 from .disdrometer_info import Columns, columns_of
+from .outputs import check_writable
 from .progress import progress_bar
 
 _DEFAULTS = FitOptions()
@@ -67,6 +68,7 @@ def calibrate(
     if plot is not None:
         check_plot_name(plot)
     described = columns_of(columns)
+    check_writable(output, plot, json)
     measured: list[MeasuredFile] = []
     with progress_bar("Reading", len(files)) as advance:
         for path in files:

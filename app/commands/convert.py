@@ -19,7 +19,7 @@ from ..console import print
 from .arguments import JsonFile, write_numbers
 from .marked import marked, marked_text
 from .orientation import Orientation
-from .outputs import hold
+from .outputs import check_scene_target, check_writable, hold
 from .path_speed import timed_path
 
 _OWN = "own"
@@ -62,6 +62,8 @@ def convert(
     """
     if wetness is not None and not 0 <= wetness <= 1:
         raise ValueError(f"--wetness {wetness:g}: must be within 0..1")
+    check_scene_target(target)
+    check_writable(json)
     scene = (orientation or Orientation()).of(open_scene(source))
     hold(target)
     if level or camera_height is not None:

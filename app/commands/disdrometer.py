@@ -19,6 +19,7 @@ from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
 from ..console import Console, Table, print
 from .arguments import JsonFile, write_numbers
 from .converted_options import RAIN_OPTIONS, converted_options
+from .outputs import check_writable
 from .progress import progress_bar
 
 _ROWS_MM = np.array([0.1, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0])
@@ -55,10 +56,9 @@ def disdrometer(
     `gsrain calibrate` reads what -o writes, so that the simulation can be fitted like a measurement.
     """
     times = _times(seconds, record)
-    if output is not None:
-        if output.suffix != ".nc":
-            raise ValueError(f"--output {output}: expected a name that ends in .nc")
-        output.parent.mkdir(parents=True, exist_ok=True)
+    if output is not None and output.suffix != ".nc":
+        raise ValueError(f"--output {output}: expected a name that ends in .nc")
+    check_writable(output, json)
     rainfall = Rainfall.start(_rain(rain, preset, calibration, closure, seed))
     instrument = VirtualDisdrometer(rainfall, area)
     counts: list[Int64[np.ndarray, " classes"]] = []
@@ -68,6 +68,7 @@ def disdrometer(
             advance()
     counted = instrument.collect(times, counts)
     if output is not None:
+        output.parent.mkdir(parents=True, exist_ok=True)
         write_spectra(output, counted.spectra)
     write_numbers(json, _numbers(counted))
     _print(counted)

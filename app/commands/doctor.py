@@ -15,6 +15,7 @@ from ..console import print
 from .arguments import JsonFile, write_numbers
 from .display import has_display
 from .installed_extensions import describe, installed_extensions
+from .outputs import check_writable
 
 _FEW_SPLATS, _MANY_SPLATS = (100_000,), (1_000_000, 3_000_000)
 """Splats whose order by depth is tested where a processor executes OpenGL, and on a GPU."""
@@ -31,6 +32,7 @@ class Finding(NamedTuple):
 
 def doctor(*, json: JsonFile = None) -> int:
     """Look for everything that GSRAIN can use. Exit code 1 where something needed is missing or wrong."""
+    check_writable(json)
     video = _video()
     needed = [_opengl(), _threads()] if is_frozen() else [_opengl(), video, _threads()]
     tested = find_depth_order()

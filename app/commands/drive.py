@@ -26,13 +26,14 @@ from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.render.video import can_write_videos
 from gsrain_engine.scene.content_hash import scene_hash
+from gsrain_engine.scene.file_names import file_word
 from gsrain_engine.scene.open_scene import open_to_draw
 from gsrain_engine.scene.scene import Scene
 
 from ..console import print, print_lines
 from .arguments import JsonFile, write_numbers
 from .converted_options import RAIN_OPTIONS, converted_options
-from .driving.drive_files import DriveFiles, file_word, write_drives
+from .driving.drive_files import DriveFiles, write_drives
 from .driving.driver_options import DriverOptions
 from .evaluate.run_facts import run_facts, told_facts
 from .outputs import check_writable, hold
@@ -91,7 +92,7 @@ def drive(
     folder = output or Path(f"drive-{file_word(test.name)}")
     files = DriveFiles(folder, frozenset(_words(export)), fps)
     files.check()
-    check_writable(folder / "table.csv", json)
+    check_writable(json, folders=[folder])
     hold(folder)
     with ExitStack() as stack:
         agents = stack.enter_context(asked.opened())  # before the scene, which takes longer to read
@@ -101,6 +102,12 @@ def drive(
         films = video if video is not None else len(agents) * len(rains) == 1 and can_film
         if films and not opened.rigs:
             raise ValueError(f"--video: scene {opened.name!r} has no rig whose front camera could film")
+        names, rains_mm_h = [each.name for each in agents], [each.intensity_mm_h for each in rains]
+        doubled = next((name for name in names if names.count(name) > 1), None)
+        if doubled is not None:
+            raise ValueError(f"--agent: two agents are called {doubled!r}, and so would be their files")
+        own_seed = test.rain.seed if seed is None else seed
+        check_writable(json, *files.planned(test.name, names, rains_mm_h, own_seed, films=films))
         renderer = None
         if films or any(agent.needs.cameras for agent in agents):
             renderer = stack.enter_context(open_renderer(backend))

@@ -19,6 +19,7 @@ from .arguments import AllowOutside, JsonFile, let_names_lead_outside, write_num
 from .capture_info import capture_info
 from .disdrometer_info import Columns, disdrometer_info
 from .marked import marked, marked_text
+from .outputs import check_picture, check_writable
 from .sources import names_scene
 
 
@@ -40,6 +41,8 @@ def info(
 
     Of a disdrometer's file: instrument, records, drops, rain, what is rejected and why, and how well its rates agree.
     """
+    check_picture("--overlay", overlay)
+    check_writable(overlay, json)
     let_names_lead_outside(allow_outside)
     is_scene, inner = names_scene(scene), scene_folder_of(Path(scene) / INNER_SCENE)
     if not is_scene and capture_format(scene) is not None:

@@ -30,13 +30,15 @@ from gsrain_engine.session.view.home_camera import front_camera, home_camera
 from ..console import print
 from .arguments import JsonFile, parse_size, write_numbers
 from .orientation import Orientation
-from .outputs import hold
+from .outputs import check_writable, hold
 from .path_speed import TimedPath, timed_path
 from .progress import followed, progress_bar
 from .render_options import RainOptions, RecordingOptions
 from .rendered_weather import rendered_weather
 
 _MOST_LISTED = 6
+_FILE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".mp4", ".webm", ".json")
+"""Of what a recording writes; all else is a folder, though its name may have dots: frames.clear, clip.depth."""
 
 
 def render(
@@ -44,7 +46,10 @@ def render(
     /,
     *,
     output: Annotated[
-        Path, Parameter(name=["--output", "-o"], help="PNG, EXR, NPY, MP4, WebM, or a folder for PNG or EXR frames.")
+        Path,
+        Parameter(
+            name=["--output", "-o"], help="PNG, JPEG, EXR, NPY, MP4, WebM, or a folder for PNG, JPEG or EXR frames."
+        ),
     ],
     rain: RainOptions | None = None,
     recording: RecordingOptions | None = None,
@@ -85,6 +90,7 @@ def render(
     _check(duration=duration, frame=frame)
     if frame is not None and camera is not None and asked.is_still:
         raise ValueError(f"--frame {frame}: a still from --camera has no other frame; --time sets its moment")
+    check_writable(json)
     opened = (orientation or Orientation()).of(open_to_draw(scene))
     if labels is not None and not scene_objects(opened):
         raise ValueError(f"--labels {labels}: scene {opened.name!r} has no actors that labels could be about")
@@ -99,6 +105,7 @@ def render(
     viewpoint = viewpoint if timing is None else timing.path
     sequences = sequences_of(asked, opened, falling, viewpoint, in_scene_time=is_own_path)
     numbers = _frame_numbers(asked, sequences, duration, frame)
+    _check_outputs(asked, list(sequences), labels, json)
     hold(*outputs(asked, list(sequences)))
     with open_renderer(backend) as renderer:
         report = _record(renderer, asked, sequences, numbers, look)
@@ -199,6 +206,18 @@ def _check_frame(
     loops = any(isinstance(each.camera, CameraPath) and each.camera.loop for each in sequences.values())
     if frame > count and not loops:
         raise ValueError(f"--frame {frame}: there are frames 0 to {count} at {recording.fps:g} frames a second")
+
+
+def _check_outputs(recording: Recording, cameras: Sequence[str], labels: LabelFormat | None, json: Path | None) -> None:
+    """Raise ValueError for what could not be written once it is rendered."""
+    written = outputs(recording, cameras)
+    if labels is not None:
+        from gsrain_engine.render.objects.label_files import label_outputs  # and OpenCV, which no picture needs
+
+        written += label_outputs(labels, recording, cameras)
+    folders = [path for path in written if path.suffix.lower() not in _FILE_ENDINGS]
+    files = [path for path in written if path not in folders]
+    check_writable(json, *files, folders=dict.fromkeys(folders))
 
 
 def _made_rainy(scene: Scene) -> Scene:

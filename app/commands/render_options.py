@@ -11,6 +11,7 @@ from gsrain_engine.rain.presets import load_preset
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.render.recording import Codec, Recording
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.untrusted.explained_errors import converted
 
 from .converted_options import RAIN_OPTIONS, converted_options
 
@@ -48,7 +49,7 @@ class RainOptions:
         if self.preset is not None:
             rain = load_preset(self.preset)
         else:
-            rain = msgspec.convert(scene.rain, Rain) if scene.rain is not None else Rain()
+            rain = converted(scene.rain, Rain) if scene.rain is not None else Rain()
         asked = {
             "intensity_mm_h": self.rain,
             "seed": self.seed,
@@ -83,11 +84,15 @@ class RecordingOptions:
         str, Parameter(help="color, depth (16 bit, cm), alpha, labels (layer or actor of each pixel); with commas.")
     ] = "color"
     twin: Annotated[bool, Parameter(help="Also the same clip at 0 mm/h, called NAME.clear.")] = False
-    codec: Annotated[Codec, Parameter(help="auto goes by the ending: h264 in MP4, vp9 in WebM, png in folders.")] = (
-        "auto"
-    )
+    codec: Annotated[
+        Codec,
+        Parameter(
+            help="auto goes by the ending: h264 in MP4, vp9 in WebM, png in folders, which may hold jpeg or exr too."
+        ),
+    ] = "auto"
     quality: Annotated[
-        int | None, Parameter(help="Constant rate factor, lower is better: 0..51 (h264), 0..63 (vp9, av1).")
+        int | None,
+        Parameter(help="Rate factor, lower is better: 0..51 (h264), 0..63 (vp9, av1); JPEG: 1..100, higher is better."),
     ] = None
 
     def recording(self, output: Path, size_px: tuple[int, int] | None, *, depth: bool) -> Recording:

@@ -1,9 +1,8 @@
 """Which weather `gsrain render` takes: the scene's own, less what the options set for the whole clip."""
 
-import msgspec
-
 from gsrain_engine.rain.weather import Weather
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.untrusted.explained_errors import converted
 
 from .render_options import RainOptions
 
@@ -15,7 +14,7 @@ def rendered_weather(options: RainOptions | None, scene: Scene) -> Weather | Non
     """
     if scene.weather is None or (options is not None and options.preset is not None):
         return None
-    weather = msgspec.convert(scene.weather, Weather)
+    weather = converted(scene.weather, Weather)
     if options is not None and options.rain is not None:
         weather = weather.without("intensity_mm_h")
     if options is not None and options.exposure is not None:

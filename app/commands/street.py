@@ -17,7 +17,7 @@ from gsrain_engine.scene.scene import Scene
 
 from ..console import print
 from .arguments import JsonFile, write_numbers
-from .outputs import hold
+from .outputs import check_scene_folder, check_writable, hold
 from .progress import progress_bar
 
 
@@ -37,6 +37,8 @@ def street(
         raise ValueError(f"--moments {moments}: must be within 0..1000")
     if not 16 <= width <= 4096:
         raise ValueError(f"--width {width}: must be within 16..4096")
+    check_scene_folder(directory / "scene")
+    check_writable(json, folders=[directory, directory / "images"])
     scene = cached_street()
     if rig not in scene.rigs:
         raise ValueError(f"--rig {rig}: the street has {', '.join(scene.rigs)}")

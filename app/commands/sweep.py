@@ -73,7 +73,7 @@ def sweep(
     told = told if backend is None else msgspec.structs.replace(told, backend=backend)
     folder = SweepFolder(_folder(sweep, told, output))
     _check_engine(workers, dask, dask_resources)
-    check_writable(folder.path / "table.csv", json)
+    check_writable(folder.path / "table.csv", folder.path / "report.html", json, folders=[folder.path])
     jobs = jobs_of(told)
     share = jobs if shard is None else Shard.parse(shard).of(jobs)
     to_do = [] if summarize_only else folder.to_do(share, retry_failed=retry_failed)

@@ -53,7 +53,7 @@ def train_transfer(
     changes = {"device": device, "steps": steps, "base": base, "clip": clip, "lpips": lpips, "start": start}
     changes |= {"seed": seed, "clear": _sources(clear), "rainy": _sources(rainy)}
     settings = with_trust(lambda: load_finetuning(config, **changes), trust)
-    check_writable(json)
+    check_writable(json, folders=[output])
     hold(output)
     task = TrainingTask(settings=settings, output=output, resume=resume)
     try:

@@ -18,7 +18,7 @@ from gsrain_engine.render.pictures import write_sheet
 
 from ..console import print
 from .arguments import AllowOutside, JsonFile, let_names_lead_outside, write_numbers
-from .outputs import check_writable, hold
+from .outputs import check_picture, check_writable, hold
 from .progress import progress_bar
 from .transfer_options import MethodOptions, ViewOptions
 
@@ -42,8 +42,9 @@ def transfer(
     how, where = method or MethodOptions(), views or ViewOptions()
     settings, choice = how.settings, where.choice
     how.check()
+    check_picture("--sheet", sheet)
+    check_writable(sheet, json, folders=[output])
     check_transferred_folder(output)
-    check_writable(output, sheet, json)
     hold(output)
     # Kernels take a second to load: only now, that there is something to do.
     from .transferred_views import source_views

@@ -20,12 +20,14 @@ from gsrain_engine.datasets.capture_folder import read_capture_folder, write_cam
 from gsrain_engine.datasets.files.picture_file import read_color, read_labels
 from gsrain_engine.datasets.other_pictures import flat_name
 from gsrain_engine.scene.atomic_files import whole_folder
+from gsrain_engine.scene.file_names import shortened
 
 from .clear_view import ClearView
 from .transfer import LeftOut, RainyView
 from .transfer_record import TRANSFER, TransferRecord, read_record, write_record
 
 _CLEAR = "clear"
+_OLD_NAME_BYTES = 200
 
 
 def check_transferred_folder(folder: Path) -> None:
@@ -157,7 +159,7 @@ def _write_shares(folder: Path, name: str, rainy: RainyView) -> None:
 
 def _set_aside(folder: Path) -> Path:
     """Move an older transfer out of the way, to be removed when the new one stands."""
-    aside = folder.with_name(f".{folder.name}.old")
+    aside = folder.with_name(f".{shortened(folder.name, _OLD_NAME_BYTES)}.old")
     shutil.rmtree(aside, ignore_errors=True)
     if folder.is_dir():
         folder.rename(aside)

@@ -8,10 +8,15 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from gsrain_engine.scene.file_names import shortened
+
 from .capture import Capture, CaptureError, View
 from .capture_folder import read_capture_folder, recognizes_capture_folder
 from .files.picture_file import SUFFIXES, picture_size, read_color
 from .prepared import prepared
+
+_MAX_NAME_BYTES = 200
+"""Of a view's file without the endings that its depth, normals and masks add."""
 
 _PROPORTIONS = 0.05
 """By so much a picture's sides may differ in ratio from the view's: programs round sizes, but do not crop."""
@@ -49,8 +54,8 @@ class OtherPictures:
 
 
 def flat_name(name: str) -> str:
-    """Name of a view as that of a file without ending: _ for each /, and no picture's ending."""
-    return _plain(name).as_posix().replace("/", "_").replace("\\", "_")
+    """Name of a view as that of a file without ending: _ for each /, no picture's ending; a long one is cut."""
+    return shortened(_plain(name).as_posix().replace("/", "_").replace("\\", "_"), _MAX_NAME_BYTES)
 
 
 def _plain(name: str) -> PurePosixPath:

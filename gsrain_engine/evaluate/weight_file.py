@@ -16,6 +16,9 @@ from gsrain_engine.untrusted.printable import printable
 
 SUFFIXES = (".npz", ".safetensors", ".ckpt", ".pth", ".pt")
 
+ARRAY_SUFFIXES = (".safetensors", ".npz")
+"""Endings of files that are written."""
+
 Arrays = Mapping[str, np.ndarray]
 
 
@@ -44,7 +47,7 @@ def write_arrays(path: Path, arrays: Arrays) -> None:
     Raises ValueError for another ending, and where writing it takes a package that is missing.
     """
     contiguous: dict[str, Any] = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-    if path.suffix not in (".npz", ".safetensors"):
+    if path.suffix not in ARRAY_SUFFIXES:
         raise ValueError(f"{path}: expected a name that ends with .safetensors or .npz")
     save = None if path.suffix == ".npz" else _safetensors_module(path).save_file
     path.parent.mkdir(parents=True, exist_ok=True)

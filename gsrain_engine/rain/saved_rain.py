@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.untrusted.explained_errors import converted
 
 from .rain import Rain
 from .weather import Weather
@@ -28,7 +29,7 @@ def weather_of(scene: Scene) -> Weather | None:
 
 def _read(scene: Scene, what: str, values: Mapping[str, Any] | None, kind: type[Saved]) -> Saved | None:
     try:
-        return None if values is None else msgspec.convert(values, kind)
+        return None if values is None else converted(values, kind)
     except msgspec.ValidationError as error:
         logger.error("%s: the scene's %s can't be used: %s", scene.name, what, error)
         return None

@@ -9,9 +9,9 @@ from jaxtyping import UInt16
 
 from .exr import write_exr
 from .frame import Frame
-from .pictures import write_alpha, write_array, write_depth, write_labels, write_legend, write_picture
+from .pictures import write_alpha, write_array, write_depth, write_jpeg, write_labels, write_legend, write_picture
 from .recorded_files import RecordedFiles
-from .recording import Recording
+from .recording import DEFAULT_JPEG_QUALITY, Recording
 from .video import VideoWriter
 
 
@@ -28,14 +28,18 @@ def open_sink(
         codec, quality = recording.format, recording.quality
         video = VideoWriter(files.path, *size_px, recording.fps, codec=codec, quality=quality)
     with video as opened:
-        yield FrameSink(files, legend, opened)
+        yield FrameSink(files, legend, opened, recording.quality)
 
 
 class FrameSink:
     """Takes the frames of one camera. Those that are files of their own are there whole or not at all."""
 
-    def __init__(self, files: RecordedFiles, legend: Mapping[str, Any], video: VideoWriter | None) -> None:
+    def __init__(
+        self, files: RecordedFiles, legend: Mapping[str, Any], video: VideoWriter | None, quality: int | None
+    ) -> None:
+        """`quality` is that of JPEG."""
         self._files, self._legend, self._video = files, legend, video
+        self._quality = DEFAULT_JPEG_QUALITY if quality is None else quality
         self._has_legend = False
 
     def write(self, number: int, frame: Frame | None, labels: UInt16[np.ndarray, "h w"] | None = None) -> None:
@@ -56,6 +60,8 @@ class FrameSink:
             self._video.write(frame.to_uint8())
         elif "color" in files.passes and files.format == "npy":
             write_array(files.color(number), frame.rgba)
+        elif "color" in files.passes and files.format == "jpeg":
+            write_jpeg(files.color(number), frame.to_uint8(), self._quality)
         elif "color" in files.passes:
             write_picture(files.color(number), frame.to_uint8())
         if "depth" in files.passes and frame.depth is not None:

@@ -1,13 +1,15 @@
 """Pictures out: PNG stills and float arrays, whole or not at all."""
 
 import json
+import struct
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, UInt8, UInt16
-from PIL import Image
+from PIL import Image, ImageCms
 
 from gsrain_engine.scene.atomic_files import whole_file
 
@@ -20,6 +22,26 @@ _PALETTE_COLORS = 255
 def write_picture(path: Path | str, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
     """Write an 8-bit picture as PNG; missing folders are made."""
     _write_png(Path(path), Image.fromarray(pixels))
+
+
+def write_jpeg(path: Path, pixels: UInt8[np.ndarray, "h w 3"], quality: int) -> None:
+    """Write an 8-bit picture as JPEG of a quality 1..100, its chroma whole, with the profile of sRGB inside.
+
+    The same pixels give the same bytes. Missing folders are made.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as beside:
+        Image.fromarray(pixels).save(
+            beside, format="JPEG", quality=quality, subsampling=0, optimize=True, icc_profile=_srgb_profile()
+        )
+
+
+@cache
+def _srgb_profile() -> bytes:
+    """Return the ICC profile of sRGB, with a date that is always the same (bytes 24 to 35 of its header)."""
+    profile = bytearray(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
+    profile[24:36] = struct.pack(">6H", 2000, 1, 1, 0, 0, 0)
+    return bytes(profile)
 
 
 def write_sheet(path: Path, image: Image.Image) -> None:

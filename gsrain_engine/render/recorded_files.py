@@ -5,6 +5,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from gsrain_engine.scene.file_names import shortened
+
 from .recording import Pass, Recording
 
 
@@ -25,7 +27,8 @@ class RecordedFiles:
 
     def color(self, number: int) -> Path:
         """Where the colours of a frame go."""
-        return self.path / f"{number:06d}.{self.format}" if self.is_folder else self.path
+        ending = "jpg" if self.format == "jpeg" else self.format
+        return self.path / f"{number:06d}.{ending}" if self.is_folder else self.path
 
     def beside(self, number: int, name: Pass) -> Path:
         """Where another pass of a frame goes."""
@@ -67,7 +70,7 @@ def recorded_files(recording: Recording, camera: str | None, *, is_clear: bool =
     path, passes = recording.path, frozenset(recording.passes)
     if camera is not None:
         suffix = path.suffix or recording.usual_suffix
-        path = path.with_suffix("") / (re.sub(r"[^\w-]+", "_", camera) + suffix)
+        path = path.with_suffix("") / (shortened(re.sub(r"[^\w-]+", "_", camera)) + suffix)
     is_folder = path.suffix == ""
     if is_clear:
         path, passes = path.with_name(f"{path.stem}.clear{path.suffix}"), passes - {"depth", "labels"}

@@ -7,7 +7,7 @@ import msgspec
 from msgspec import Meta
 
 Pass = Literal["color", "depth", "alpha", "labels"]
-Codec = Literal["auto", "h264", "vp9", "av1", "png", "exr"]
+Codec = Literal["auto", "h264", "vp9", "av1", "png", "jpeg", "exr"]
 LARGEST_PX = 16384
 Pixels = Annotated[int, Meta(ge=1, le=LARGEST_PX)]
 
@@ -15,18 +15,30 @@ DEFAULT_SIZE_PX = (960, 640)
 
 USUAL_QUALITY = {"h264": 18, "vp9": 24, "av1": 28}
 """Constant rate factor of each video codec where none is asked for: hardly a difference to be seen."""
+DEFAULT_JPEG_QUALITY = 93
+"""With whole chroma: errors of about a level, which rain streaks of one pixel live through."""
 
 _CONTAINERS: dict[str, tuple[str, ...]] = {
     "h264": (".mp4",),
     "vp9": (".webm",),
     "av1": (".webm", ".mp4"),
     "png": (".png", ""),
+    "jpeg": (".jpg", ".jpeg", ""),
     "exr": (".exr", ""),
     "npy": (".npy",),
 }
 """Endings of the files that each codec goes into, the usual one first; "" is a folder."""
 
-_BY_SUFFIX = {".mp4": "h264", ".webm": "vp9", ".png": "png", ".exr": "exr", ".npy": "npy", "": "png"}
+_BY_SUFFIX = {
+    ".mp4": "h264",
+    ".webm": "vp9",
+    ".png": "png",
+    ".jpg": "jpeg",
+    ".jpeg": "jpeg",
+    ".exr": "exr",
+    ".npy": "npy",
+    "": "png",
+}
 
 
 class Recording(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -36,7 +48,7 @@ class Recording(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         str,
         Meta(
             title="Output",
-            description="PNG, EXR or NPY for a still, MP4 or WebM for a video, a folder for numbered frames.",
+            description="PNG, JPEG, EXR or NPY for a still, MP4 or WebM for a video, a folder for numbered frames.",
         ),
     ]
     size_px: Annotated[
@@ -98,7 +110,8 @@ class Recording(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         int | None,
         Meta(
             title="Quality",
-            description="Constant rate factor of a video, lower is better. None: 18 (H.264), 24 (VP9), 28 (AV1).",
+            description="Constant rate factor of a video, lower is better; none: 18 (H.264), 24 (VP9), 28 (AV1). "
+            "Of JPEG 1 to 100, higher is better; none: 93.",
             extra={"ge": 0, "le": 63},
         ),
     ] = None
@@ -108,7 +121,10 @@ class Recording(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             raise ValueError(
                 f"last_s must be above first_s ({self.first_s:g} s) by at most 36000 s, got {self.last_s:g}"
             )
-        if self.quality is not None and not 0 <= self.quality <= (51 if self.format == "h264" else 63):
+        if self.quality is not None and self.format == "jpeg":
+            if not 1 <= self.quality <= 100:
+                raise ValueError(f"quality must be within 1..100 (JPEG), got {self.quality}")
+        elif self.quality is not None and not 0 <= self.quality <= (51 if self.format == "h264" else 63):
             raise ValueError(f"quality must be within 0..51 (H.264) or 0..63 (VP9, AV1), got {self.quality}")
 
     @property
@@ -139,18 +155,22 @@ class Recording(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     @property
     def is_still(self) -> bool:
         """Whether it is a single picture."""
-        return self.suffix in (".png", ".exr", ".npy")
+        return self.suffix in (".png", ".jpg", ".jpeg", ".exr", ".npy")
 
     def check(self) -> None:
         """Raise `ValueError` where output, codec, size and passes contradict one another."""
+        if not self.output.strip():
+            raise ValueError("output is empty: expected the name of a file or folder, such as clip.mp4")
         if self.suffix not in _BY_SUFFIX:
             raise ValueError(
-                f"{self.output}: an output ends in .png, .npy, .exr, .mp4 or .webm, or is a folder without a suffix"
+                f"{self.output}: an output ends in .png, .jpg, .npy, .exr, .mp4 or .webm, or is a folder without suffix"
             )
         allowed = _CONTAINERS[self.format]
         if self.suffix not in allowed and not (self.suffix == "" and len(self.cameras) > 0):
             wanted = " or ".join(each or "nothing (a folder)" for each in allowed)
             raise ValueError(f"{self.output}: {self.format} needs an output that ends in {wanted}")
+        if self.format == "jpeg" and (others := [each for each in self.passes if each != "color"]):
+            raise ValueError(f"{self.output}: JPEG holds colors alone; for the pass {others[0]} take PNG, EXR or NPY")
         if self.is_video and self.size_px is not None and any(side % 2 for side in self.size_px):
             width, height = self.size_px
             raise ValueError(f"{self.output}: a video needs an even width and height, got {width}x{height}")

@@ -9,6 +9,7 @@ import re
 import secrets
 import shutil
 import stat
+import sys
 import time
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
@@ -124,7 +125,8 @@ def sync(path: Path) -> None:
 
 
 def _beside(path: Path) -> Path:
-    name = path.name.encode(errors="surrogateescape")[:_LONGEST_NAME].decode(errors="ignore")
+    # What a locale's character set can't say goes: a name made of it could not be written.
+    name = os.fsencode(path.name)[:_LONGEST_NAME].decode(sys.getfilesystemencoding(), errors="ignore")
     return path.with_name(f".{name}.{secrets.token_hex(4)}.part")
 
 

@@ -11,17 +11,21 @@ from msgspec import inspect
 from .plain_values import check_finite
 from .printable import printable
 
+_LONGEST = 3000
+"""Signs of a sentence: settings of a training have some forty fields."""
+
 _PLACE = re.compile(r" - at `\$(.*)`$")
 _STEP = re.compile(r"\.([^.\[]+)|\[[^\]]*\]")
 _WRONG_WORD = re.compile(r"Invalid (?:enum )?value ")
 _NO_FIELD = re.compile(r"Object contains unknown field `(.*?)`")
 
 
-def explained(error: Exception, kind: Any) -> str:
+def explained(error: Exception, kind: Any, values: Any = None) -> str:
     """Return an error of `msgspec.convert(..., kind)` with the words that would be right where one is wrong.
 
     `Invalid value 'brak' - at `$.behaviour.kind`` becomes `Invalid value 'brak', expected brake, cut-in, ... - at ...`;
-    an unknown field gets the field that is most like it.
+    an unknown field gets the field that is most like it, and all that there are. `values` are what was to be converted:
+    of several kinds of objects that can stand at a place, those of its own kind are listed.
     """
     message = " ".join(str(error).split())
     place = _PLACE.search(message)
@@ -32,10 +36,34 @@ def explained(error: Exception, kind: Any) -> str:
         words = list(dict.fromkeys(_words(_types(kind, steps[:-1]), steps[-1] if steps else "")))
         said += f", expected {', '.join(words)}" if words else ""
     elif found is not None:
-        fields = [field.encode_name for each in _types(kind, steps) for field in getattr(each, "fields", ())]
+        fields = list(dict.fromkeys(_fields(_types(kind, steps), _at(values, place[1] if place else ""))))
         like = difflib.get_close_matches(found[1], fields, n=1)
         said += f"; did you mean `{like[0]}`?" if like else ""
+        said += f"{'' if like else ';'} valid: {', '.join(fields)}" if fields else ""
     return said + (message[place.start() :] if place else "")
+
+
+def _fields(types: list[inspect.Type], value: Any) -> Iterator[str]:
+    """Names of the fields that an object can have at a place; of those told apart by a tag, the fields of its own."""
+    objects = [each for each in types if isinstance(each, inspect.StructType | inspect.DataclassType)]
+    tagged = [each for each in objects if isinstance(each, inspect.StructType) and each.tag_field is not None]
+    if isinstance(value, dict):
+        own = [each for each in tagged if value.get(each.tag_field) == each.tag]  # pyright: ignore[reportUnknownMemberType]
+        objects = own or objects
+    for each in objects:
+        if isinstance(each, inspect.StructType) and each.tag_field is not None:
+            yield each.tag_field
+        yield from (field.encode_name for field in each.fields)
+
+
+def _at(values: Any, place: str) -> Any:
+    """Return what stands at a place such as `.rain` or `.agents[0]`; None where that can't be followed."""
+    for match in _STEP.finditer(place):
+        try:
+            values = values[match[1]] if match[1] else values[int(match[0][1:-1])]
+        except (KeyError, IndexError, TypeError, ValueError):
+            return None
+    return values
 
 
 def _types(kind: Any, steps: list[str]) -> list[inspect.Type]:
@@ -89,4 +117,4 @@ def converted(values: Any, kind: Any, **options: Any) -> Any:
     try:
         return msgspec.convert(values, kind, **options)
     except msgspec.ValidationError as error:
-        raise msgspec.ValidationError(printable(explained(error, kind))) from None
+        raise msgspec.ValidationError(printable(explained(error, kind, values), _LONGEST)) from None

@@ -22,9 +22,3 @@ def escaped(text: str) -> str:
 
 _SPACES = "\u00a0\u2002\u2003\u2009\u202f\u3000"
 """Spaces that names are written with, which Python does not count as printable."""
-
-
-def figure_label(name: str) -> str:
-    """Return a name as Matplotlib draws it letter by letter: no formula between dollars, and never left out."""
-    label = escaped(name).replace("$", r"\$")
-    return f" {label}" if label.startswith("_") else label  # legends leave out what begins with an underscore

@@ -179,3 +179,28 @@ def test_the_papers_scenarios_are_shipped():
     standing, cutting = load_scenario("stationary-lead"), load_scenario("cut-in")
     assert (standing.speed_m_s, standing.road_users[0].ahead_m, standing.road_users[0].speed_m_s) == (10, 40, 0)
     assert (cutting.speed_m_s, cutting.road_users[0].ahead_m, cutting.road_users[0].speed_m_s) == (5, 10, 5)
+
+
+def test_a_scenario_of_any_name_is_driven_and_its_files_are_found(scenario, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = scenario.read_text().replace("duration_s: 6.0", "duration_s: 0.5")
+    for number, name in enumerate(("n" * 4000, "$雨/_" * 200)):
+        (tmp_path / f"{number}.yaml").write_text(text.replace("name: standing", f"name: '{name}'"))
+        line = (f"{number}.yaml", "--agent", "constant-velocity", "--no-video")
+        assert drive(*line, "--export", "parquet") == 0
+    folders = [each for each in tmp_path.iterdir() if each.is_dir()]
+    assert len(folders) == 2
+    for folder in folders:
+        assert len(list(folder.glob("*.jsonl"))) == len(list(folder.glob("*.parquet"))) == 1
+        assert len(list(folder.glob("*.png"))) == 1
+        assert "8.5mm_seed0" in " ".join(each.name for each in folder.iterdir())
+
+
+def test_names_that_are_in_the_way_are_told_before_the_drive(scenario, tmp_path, capsys):
+    (tmp_path / "out" / "standing_constant-velocity_8.5mm_seed0.mp4").mkdir(parents=True)
+    line = (scenario, "--agent", "constant-velocity", "--backend", "cpu", "-o", tmp_path / "out")
+    assert drive(*line) == BAD_INPUT
+    assert "seed0.mp4: can't be written, for it is a folder" in capsys.readouterr().err
+    assert drive(*line, "--no-video", "--rain", "1,1.00000001") == BAD_INPUT
+    assert "two outputs have this name" in capsys.readouterr().err
+    assert not list((tmp_path / "out").glob("*.jsonl"))

@@ -168,6 +168,33 @@ def test_pictures_of_a_folder_are_rained_on_by_a_coco_file(detector, tmp_path, c
     assert "--truth" in capsys.readouterr().err
 
 
+def test_objects_of_many_classes_are_drawn_and_those_without_a_word_are_listed_apart(detector, tmp_path, capsys):
+    (tmp_path / "pictures").mkdir()
+    Image.fromarray(np.full((64, 128, 3), 90, np.uint8)).save(tmp_path / "pictures" / "one.png")
+    names = ["car", "truck", "person", "vehicle", "sign"]
+    truth = {
+        "images": [{"id": 1, "file_name": "one.png"}],
+        "categories": [{"id": number, "name": name} for number, name in enumerate(names)],
+        "annotations": [
+            {"id": number, "image_id": 1, "category_id": number, "bbox": [20 * number, 0, 20, 30]}
+            for number in range(5)
+        ],
+    }
+    (tmp_path / "truth.json").write_text(json.dumps(truth))
+    options = ("--truth", str(tmp_path / "truth.json"), "--rain", "8", "--seeds", "1", "-o", str(tmp_path / "out"))
+    assert evaluate(tmp_path / "pictures", detector, *options) == 0
+    assert "Not asked of red, which has no word for them: sign (1)." in capsys.readouterr().out
+    numbers = json.loads((tmp_path / "out" / "detection.json").read_text())
+    assert numbers["not_named"] == {"red": {"sign": 1}}
+    assert {row["class"] for row in numbers["rows"]} == {"car", "truck", "person", "vehicle"}
+    assert (tmp_path / "out" / "confidence.png").is_file()
+    assert "no word for them: sign (1)" in (tmp_path / "out" / "report.html").read_text()
+    truth["annotations"] = truth["annotations"][4:]
+    (tmp_path / "truth.json").write_text(json.dumps(truth))
+    assert evaluate(tmp_path / "pictures", detector, *options) == BAD_INPUT
+    assert "nothing there can be named: red has no word for sign (1)" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [

@@ -23,7 +23,8 @@ def images(*arguments):
 
 
 def _read(file):
-    return np.asarray(Image.open(file), np.float32) / 255
+    with Image.open(file) as picture:
+        return np.asarray(picture, np.float32) / 255
 
 
 def test_pairs_are_measured_and_told(folders, tmp_path, capsys):
@@ -126,3 +127,27 @@ def test_the_interval_of_a_mean_covers_it_and_is_seeded():
     assert mean_interval([np.inf, np.inf]) == (np.inf, np.inf, np.inf)
     with pytest.raises(ValueError, match="at least one value"):
         mean_interval([])
+
+
+def test_two_pictures_are_a_pair_whatever_they_are_called(folders, tmp_path, capsys):
+    file = tmp_path / "numbers.json"
+    (folders[1] / "004.png").rename(tmp_path / "true.png")
+    pair = folders[0] / "004.png", tmp_path / "true.png"
+    assert images(*pair, "--json", file) == 0
+    numbers = json.loads(file.read_text())
+    (row,) = numbers["rows"]
+    assert row["psnr_db"] == pytest.approx(psnr(*(_read(each) for each in pair)), rel=1e-9)
+    assert numbers["left_out"] == 0
+    mask = np.zeros(_read(pair[1]).shape[:2], np.uint8)
+    mask[:8, :8] = 255
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    assert images(*pair, "--masks", tmp_path / "mask.png", "--json", file) == 0
+    assert json.loads(file.read_text())["rows"][0]["compared_share"] == pytest.approx(64 / mask.size)
+    assert images(folders[0] / "002.png", folders[1], "--json", file) == 0
+    assert [each["name"] for each in json.loads(file.read_text())["rows"]] == ["002"]
+    capsys.readouterr()
+    (tmp_path / "notes.png").write_text("no picture")
+    assert images(pair[0], tmp_path / "notes.png") == BAD_INPUT
+    assert "notes.png" in capsys.readouterr().err
+    assert images(pair[0], folders[1] / "none.png") == BAD_INPUT
+    assert "no such file or folder" in capsys.readouterr().err

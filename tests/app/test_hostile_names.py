@@ -28,7 +28,8 @@ from gsrain_engine.scene.formats import write_scene
 from gsrain_engine.scene.members import Actor
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.track import Track
-from gsrain_engine.untrusted.printable import escaped, figure_label
+from gsrain_engine.untrusted.figure_words import figure_words
+from gsrain_engine.untrusted.printable import escaped
 from small_scene import small_scene
 
 NAME = "\x1b]0;owned\x07\u202e[red][/x]\nOK\u2066"
@@ -307,12 +308,12 @@ def test_a_figure_takes_no_name_for_a_formula():
     figure = Figure()
     axes = figure.subplots()
     for name in ("$\\notacommand{$", "_hidden", "costs $5"):
-        axes.plot([0, 1], label=figure_label(name))
-    axes.set_title(figure_label("$x^$ \u202e"))
+        axes.plot([0, 1], label=figure_words(name))
+    axes.set_title(figure_words("$x^$ \u202e"))
     legend = axes.legend()
     FigureCanvasAgg(figure).draw()  # a formula that can't be read is a ValueError
     assert [each.get_text().strip() for each in legend.get_texts()][1] == "_hidden"
-    assert figure_label("$x^$ \u202e") == "\\$x^\\$ \\u202e"
+    assert figure_words("$x^$ \u202e") == "\\$x^\\$ \\u202e"
 
 
 def test_what_is_escaped():

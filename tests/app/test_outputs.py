@@ -1,10 +1,135 @@
 """What can't be written is said before the work."""
 
+import os
+import shlex
 from pathlib import Path
 
 import pytest
 
+from app.command_line import BAD_INPUT, app, run
 from app.commands.outputs import check_scene_folder, check_writable, report_beside
+from gsrain_engine.scene.file_names import file_word, name_problem, shortened
+
+OUTPUTS = {
+    "render": ["street -o OUT.png", "street -o ok.png --json OUT"],
+    "info": ["street --json OUT", "street --overlay OUT.png"],
+    "convert": ["none.ply OUT.ply", "none.ply ok.ply --json OUT"],
+    "street": ["OUT", "ok --json OUT"],
+    "calibrate": ["none -o OUT.yaml", "none -o ok.yaml --plot OUT.png", "none -o ok.yaml --json OUT"],
+    "disdrometer": ["-o OUT.nc", "--json OUT"],
+    "reconstruct": ["none -o OUT", "none -o ok --report OUT.html", "none -o ok --json OUT"],
+    "transfer": ["none -o OUT", "none -o ok --sheet OUT.png", "none -o ok --json OUT"],
+    "recolor": [
+        "none --images x -o OUT",
+        "none --images x -o ok --report OUT.html",
+        "none --images x -o ok --json OUT",
+    ],
+    "sweep": ["tiny -o OUT", "tiny -o ok --json OUT"],
+    "train-transfer": ["tiny -o OUT", "tiny -o ok --json OUT"],
+    "drive": ["-o OUT", "-o ok --json OUT"],
+    "doctor": ["--json OUT"],
+    "bench": ["--json OUT"],
+    "bench render": ["--json OUT"],
+    "bench loading": ["--json OUT"],
+    "bench recoloring": ["--json OUT"],
+    "evaluate streaks": ["none --json OUT"],
+    "evaluate consistency": ["none --sheet OUT.png", "none --report OUT.html", "none --json OUT"],
+    "evaluate fid": ["none none --report OUT.html", "none none --json OUT"],
+    "evaluate transfers": ["paper -o OUT", "paper -o ok --json OUT"],
+    "evaluate images": ["none none --report OUT.html", "none none --json OUT"],
+    "evaluate lpips-weights": ["none -o OUT.npz"],
+    "evaluate inception-weights": ["none -o OUT.npz"],
+    "evaluate detection": ["--detector x -o OUT", "--detector x --video OUT.mp4", "--detector x --json OUT"],
+    "evaluate lidar": ["none -o OUT", "none -o ok --json OUT"],
+}
+"""Command lines with OUT in each place of a file or folder that is written; what they read is not there."""
+_WRITTEN = {"output", "target", "directory", "json", "sheet", "plot", "report", "video", "overlay"}
+LINES = [f"{command} {rest}" for command, lines in OUTPUTS.items() for rest in lines]
+
+
+def commands(of=app, before=""):
+    for name in of:
+        if name.startswith("-"):
+            continue
+        inner = of[name]
+        if any(not each.startswith("-") for each in inner):
+            yield from commands(inner, f"{before}{name} ")
+        if inner.default_command is not None:
+            yield f"{before}{name}", inner
+
+
+def test_the_table_has_every_output_of_every_command():
+    found = dict(commands())
+    assert set(OUTPUTS) == set(found)
+    for name, command in found.items():
+        fields = {each.field_info.name for each in command.assemble_argument_collection()} & _WRITTEN
+        # `video` of drive is a switch
+        assert len(OUTPUTS[name]) == len(fields - ({"video"} if name == "drive" else set())), (name, fields)
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_names_that_no_disk_takes_are_refused_before_anything_is_read(line, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run(shlex.split(line.replace("OUT", "雨" * 90))) == BAD_INPUT
+    (said,) = capsys.readouterr().err.splitlines()
+    assert "雨" in said and "bytes, and the disk takes" in said
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_what_is_in_the_way_is_told_before_anything_is_read(line, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("mine")
+    words = shlex.split(line.replace("OUT", "file/below/x"))
+    assert run(words) == BAD_INPUT
+    (said,) = capsys.readouterr().err.splitlines()
+    assert "file/below/x" in said and "file is a file" in said
+    assert [each.name for each in tmp_path.iterdir()] == ["file"]
+
+
+def test_two_outputs_have_two_places(tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path)
+    check_writable(tmp_path / "a", tmp_path / "b", folders=[tmp_path])
+    for pair in ((tmp_path / "a", tmp_path / "a"), (tmp_path / "a", tmp_path / "link" / "a")):
+        with pytest.raises(ValueError, match="two outputs have this name"):
+            check_writable(*pair)
+    with pytest.raises(ValueError, match=r"a/b: can't be written, for .*a is to be a file"):
+        check_writable(tmp_path / "a" / "b", tmp_path / "a")
+    check_writable(Path(os.devnull), Path(os.devnull))
+
+
+def test_a_folder_is_no_file_and_a_file_no_folder(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match="it is a folder; expected the name of a file"):
+        check_writable(tmp_path)
+    with pytest.raises(ValueError, match="it is a file; expected the name of a folder"):
+        check_writable(folders=[tmp_path / "file"])
+    with pytest.raises(ValueError, match="empty name"):
+        check_writable(Path())
+
+
+def test_endings_are_known_before_the_work(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for line, said in {
+        "evaluate images a b --report r.pdf": "--report r.pdf: expected a name that ends in .html or .htm",
+        "evaluate detection --detector x --video v.avi": "--video v.avi: expected a name that ends in .mp4 or .webm",
+        "transfer none -o out --sheet s.doc": "--sheet s.doc: expected a picture, such as s.png",
+        "convert none.ply out.sog": "out.sog: .sog is read but not written",
+    }.items():
+        assert run(line.split()) == BAD_INPUT
+        assert said in capsys.readouterr().err
+
+
+def test_long_names_are_shortened_and_stay_apart():
+    long = "雨" * 300
+    assert shortened("short") == "short" and file_word("a/b:c") == "a-b-c" and file_word("...") == "-"
+    assert shortened(long) == shortened(long) != shortened(long + "a")
+    assert len(os.fsencode(shortened(long, 100))) <= 100
+    assert os.fsencode(file_word(os.fsdecode(b"\xfc"))) == b"\xfc"
+    assert shortened("\ud800") == "?"
+    assert name_problem(Path("x" * 255)) is None and "256 bytes" in name_problem(Path("x" * 256))
+    assert "path has" in name_problem(Path("/".join(["x" * 200] * 25)))
+    assert "zero byte" in name_problem(Path("a\0b"))
 
 
 def test_what_can_be_written_is_not_touched(tmp_path: Path) -> None:
@@ -27,7 +152,7 @@ def test_a_scene_folder_takes_the_place_of_another_and_of_nothing_else(tmp_path:
 
 def test_a_file_in_the_way_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
-    for check in (check_scene_folder, check_writable):
+    for check in (check_scene_folder, check_writable, lambda path: check_writable(folders=[path])):
         with pytest.raises(ValueError, match=r"file/deep/out: can't be written, for .*/file is a file"):
             check(tmp_path / "file" / "deep" / "out")
 
@@ -39,5 +164,6 @@ def test_a_folder_that_takes_no_file_is_named() -> None:
 
 
 def test_a_report_lies_beside_its_scene() -> None:
+    assert name_problem(report_beside(Path("s" * 255), None)) is None
     assert report_beside(Path("a/scene"), None) == Path("a/scene.report.html")
     assert report_beside(Path("a/scene"), Path("b.html")) == Path("b.html")

@@ -2,10 +2,11 @@
 
 import json
 from dataclasses import replace
+from io import BytesIO
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageCms
 
 from app.command_line import BAD_INPUT, run
 from gsrain_engine.scene.camera import Camera
@@ -168,3 +169,32 @@ def test_an_ego_drives_along_photos_at_walking_pace_or_a_speed(project, photos, 
         assert ego is not None and ego.times[-1] == pytest.approx(seconds, abs=0.01)
     assert run(["convert", str(project), str(tmp_path / "none"), "--speed", "6"]) == BAD_INPUT
     assert "--speed 6: is that of --drive" in capsys.readouterr().err
+
+
+def test_jpegs_are_stills_and_frames_in_srgb(project, tmp_path, capsys):
+    moment = ("--from", "1.5")
+    assert render(project, tmp_path / "still.png", *moment) == 0
+    for name in ("still.jpg", "again.JPEG"):
+        assert render(project, tmp_path / name, *moment) == 0
+    assert (tmp_path / "still.jpg").read_bytes() == (tmp_path / "again.JPEG").read_bytes()
+    with Image.open(tmp_path / "still.jpg") as still, Image.open(tmp_path / "still.png") as lossless:
+        profile = ImageCms.ImageCmsProfile(BytesIO(still.info["icc_profile"]))
+        assert still.format == "JPEG" and "sRGB" in ImageCms.getProfileDescription(profile)
+        assert np.abs(np.asarray(still, float) - np.asarray(lossless.convert("RGB"), float)).mean() < 2
+    assert render(project, tmp_path / "frames", *moment, "--to", "1.56", "--codec", "jpeg", "--quality", "40") == 0
+    frames = sorted((tmp_path / "frames").iterdir())
+    assert [each.name for each in frames] == ["000000.jpg", "000001.jpg"]
+    assert frames[0].stat().st_size < (tmp_path / "still.jpg").stat().st_size
+    capsys.readouterr()
+    assert render(project, tmp_path / "no.jpg", "--depth") == BAD_INPUT
+    assert "no.jpg: JPEG holds colors alone; for the pass depth take PNG" in capsys.readouterr().err
+
+
+def test_what_is_in_the_way_of_a_pass_is_told_before_anything_is_drawn(project, tmp_path, capsys):
+    (tmp_path / "still.depth.png").mkdir()
+    assert render(project, tmp_path / "still.png", "--depth") == BAD_INPUT
+    assert "still.depth.png: can't be written, for it is a folder" in capsys.readouterr().err
+    (tmp_path / "frames.clear").write_text("mine")
+    assert render(project, tmp_path / "frames", "--twin", "--to", "0.1") == BAD_INPUT
+    assert "frames.clear: can't be written, for it is a file" in capsys.readouterr().err
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["frames.clear", "still.depth.png"]

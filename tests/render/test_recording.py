@@ -11,6 +11,7 @@ from app.commands.render_options import RecordingOptions
 from gsrain_engine.render.recorded_files import outputs, recorded_files
 from gsrain_engine.render.recording import Recording
 from gsrain_engine.render.recording_command import recording_command
+from gsrain_engine.untrusted.explained_errors import converted
 
 
 @pytest.mark.parametrize(
@@ -19,16 +20,18 @@ from gsrain_engine.render.recording_command import recording_command
         ({"supersampling": 5}, "<= 4 - at `$.supersampling`"),
         ({"motion_blur": 0}, ">= 1 - at `$.motion_blur`"),
         ({"size_px": (0, 64)}, ">= 1 - at `$.size_px[0]`"),
-        ({"passes": ("colour",)}, "'colour' - at `$.passes[0]`"),
+        ({"passes": ("colour",)}, "'colour', expected alpha, color, depth, labels - at `$.passes[0]`"),
         ({"passes": ()}, "length >= 1 - at `$.passes`"),
         ({"first_s": 2.0, "last_s": 2.0}, "last_s must be above first_s (2 s)"),
         ({"quality": 52}, "quality must be within 0..51 (H.264)"),
+        ({"output": "a.jpg", "quality": 0}, "quality must be within 1..100 (JPEG)"),
+        ({"qualitee": 1}, "did you mean `quality`? valid: output, size_px, fps, first_s"),
         ({"qualitee": 1}, "unknown field `qualitee`"),
     ],
 )
 def test_what_is_out_of_bounds_is_named(fields, words):
     with pytest.raises(msgspec.ValidationError) as error:
-        msgspec.convert({"output": "a.mp4", **fields}, Recording)
+        converted({"output": "a.mp4", **fields}, Recording)
     assert words in str(error.value)
 
 
@@ -39,6 +42,10 @@ def test_what_is_out_of_bounds_is_named(fields, words):
         ({"output": "a.webm", "codec": "h264"}, "h264 needs an output that ends in .mp4"),
         ({"output": "frames", "codec": "vp9"}, "vp9 needs an output that ends in .webm"),
         ({"output": "a.mp4", "codec": "exr"}, "exr needs an output that ends in .exr or nothing (a folder)"),
+        ({"output": " "}, "output is empty"),
+        ({"output": "a.jpg", "passes": ("color", "depth")}, "JPEG holds colors alone; for the pass depth take PNG"),
+        ({"output": "a", "codec": "jpeg", "passes": ("alpha",)}, "for the pass alpha take PNG"),
+        ({"output": "a.png", "codec": "jpeg"}, "jpeg needs an output that ends in .jpg or .jpeg or nothing (a folder)"),
         ({"output": "a.webm", "size_px": (64, 63)}, "even width and height, got 64x63"),
     ],
 )
@@ -67,6 +74,13 @@ def test_what_contradicts_itself_is_refused(fields, words):
 )  # fmt: skip
 def test_files_are_called(fields, cameras, expected):
     assert [path.as_posix() for path in outputs(Recording(**fields), cameras)] == expected
+
+
+def test_long_names_of_cameras_are_shortened_and_stay_apart():
+    paths = outputs(Recording(output="a", codec="jpeg", twin=True), ["F" * 300, "F" * 301])
+    assert len(set(paths)) == 4
+    assert all(len(path.name) < 200 for path in paths)
+    assert recorded_files(Recording(output="a", codec="jpeg"), None).color(3).as_posix() == "a/000003.jpg"
 
 
 def test_passes_lie_beside_their_frames():

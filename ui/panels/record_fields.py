@@ -16,6 +16,7 @@ _FORMATS: dict[str, Codec] = {
     "WebM (VP9)": "vp9",
     "WebM (AV1)": "av1",
     "PNG frames": "png",
+    "JPEG frames": "jpeg",
     "EXR frames": "exr",
 }
 _SIZES = {

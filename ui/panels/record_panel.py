@@ -17,6 +17,7 @@ _KINDS = {
     "vp9": "WebM{.webm}",
     "av1": "WebM{.webm},MP4{.mp4}",
     "png": "Folder of frames{.*}",
+    "jpeg": "Folder of frames{.*}",
     "exr": "Folder of frames{.*}",
 }
 
@@ -70,7 +71,7 @@ def ask_where_to_record(session: Session) -> None:
 
 def ask_where_to_record_still(session: Session) -> None:
     """Show the dialog for a still."""
-    kinds = "PNG{.png},EXR{.exr}"
+    kinds = "PNG{.png},JPEG{.jpg},EXR{.exr}"
     ask_where_to_save("Record a still", kinds, lambda chosen: session.recorder.record_still_to(chosen[0]))
 
 

@@ -1,6 +1,5 @@
 """What `gsrain drive` writes: runs, tables, figures, films and a report."""
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -8,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from gsrain_engine.drive.metrics.comparison import Comparison, Run, compare
+from gsrain_engine.drive.metrics.comparison import Run, compare
 from gsrain_engine.drive.metrics.metrics_files import write_metrics_csv
 from gsrain_engine.drive.metrics.table import results_table
 from gsrain_engine.drive.playback.drive_film import film_drive
@@ -21,12 +20,15 @@ from gsrain_engine.drive.scenario.scenario import Scenario
 from gsrain_engine.evaluate.report.report_file import write_report
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.scene.file_names import file_word, shortened
 from gsrain_engine.scene.scene import Scene
 
 from ..progress import progress_bar
 
 EXPORTS = {"parquet": "pyarrow", "mcap": "mcap", "xosc": "scenariogeneration"}
 """Other forms of a run, and the package that writes each."""
+_WORD_BYTES = 90
+"""Of the name of a scenario, and of an agent, in that of a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,17 +54,34 @@ class DriveFiles:
     def of(self, run: Run, suffix: str) -> Path:
         """Return the file of a run."""
         metrics = run.metrics
-        name = f"{metrics.scenario}_{metrics.agent}_{metrics.intensity_mm_h:g}mm_seed{metrics.seed}"
-        return self.folder / f"{file_word(name)}{suffix}"
+        return self._of(metrics.scenario, metrics.agent, metrics.intensity_mm_h, metrics.seed, suffix)
 
-    def figure(self, comparison: Comparison) -> Path:
+    def figure(self, scenario: str, agent: str) -> Path:
         """Return the file of a figure over time."""
-        return self.folder / f"{file_word(f'{comparison.scenario}_{comparison.agent}')}.png"
+        return self.folder / f"{_drive_word(scenario, agent)}.png"
+
+    def planned(
+        self, scenario: str, agents: Sequence[str], rains_mm_h: Sequence[float], seed: int, *, films: bool
+    ) -> list[Path]:
+        """Return all files that runs of these agents in these rains will write."""
+        suffixes = [".jsonl", *(f".{kind}" for kind in sorted(self.exports))]
+        suffixes += [".xodr"] * ("xosc" in self.exports) + [".mp4"] * films
+        runs = [
+            self._of(scenario, agent, rain, seed, suffix)
+            for agent in agents
+            for rain in rains_mm_h
+            for suffix in suffixes
+        ]
+        figures = [self.figure(scenario, agent) for agent in agents]
+        return [self.folder / name for name in ("report.html", "table.md", "table.csv")] + figures + runs
+
+    def _of(self, scenario: str, agent: str, intensity_mm_h: float, seed: int, suffix: str) -> Path:
+        return self.folder / f"{_drive_word(scenario, agent)}_{intensity_mm_h:g}mm_seed{seed}{suffix}"
 
 
-def file_word(name: str) -> str:
-    """Return a name as part of a file's: what would lead into another folder, or nowhere, becomes a dash."""
-    return re.sub(r'[\\/:*?"<>|\x00-\x1f]+', "-", name).lstrip(".") or "-"
+def _drive_word(scenario: str, agent: str) -> str:
+    """Return what files of an agent in a scenario begin with; what is long of either is shortened by itself."""
+    return file_word(f"{shortened(scenario, _WORD_BYTES)}_{shortened(agent, _WORD_BYTES)}", 2 * _WORD_BYTES + 1)
 
 
 def write_drives(
@@ -85,7 +104,7 @@ def write_drives(
     with whole_file(files.folder / "table.md") as beside:
         beside.write_text(table.markdown, encoding="utf-8")
     write_metrics_csv(files.folder / "table.csv", [run.metrics for run in runs])
-    figures = {files.figure(each): kinematics_figure(each) for each in compared}
+    figures = {files.figure(each.scenario, each.agent): kinematics_figure(each) for each in compared}
     for path, figure in figures.items():
         write_figure(path, figure)
     write_report(files.folder / "report.html", drive_report(runs, {scene.name: recorded_route(scene)}, settings))

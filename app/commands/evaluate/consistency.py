@@ -20,7 +20,7 @@ from gsrain_engine.scene.content_hash import file_hash
 
 from ...console import Console, print
 from ..arguments import AllowOutside, JsonFileOrScreen, let_names_lead_outside, words_go_to, write_numbers
-from ..outputs import check_writable
+from ..outputs import check_page, check_picture
 from ..progress import progress_bar
 from .consistency_numbers import print_agreements, report_of
 from .consistency_page import consistency_page
@@ -63,7 +63,8 @@ def consistency(
     """
     let_names_lead_outside(allow_outside)
     _check(folders, neighbours, film, sheet_pairs)
-    check_writable(sheet, report, json)
+    check_picture("--sheet", sheet)
+    check_page(report, json, sheet)
     compared = [open_compared(folder, width) for folder in folders]
     pairs = compared[0].chosen(neighbours)
     if not pairs and not compared[0].has_poses:

@@ -11,13 +11,14 @@ from cyclopts import Parameter
 
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.evaluate.detection.detector import Detector, open_detector
+from gsrain_engine.render.video import SUFFIXES as VIDEO_SUFFIXES
 
 from ...console import Console, print
 from ..arguments import AllowOutside, JsonFile, let_names_lead_outside, write_numbers
-from ..outputs import check_writable, hold
+from ..outputs import check_ending, check_writable, hold
 from ..progress import progress_bar
 from .detection_memory import opened_memory
-from .detection_numbers import detection_numbers, print_scores
+from .detection_numbers import detection_numbers, print_scores, told_not_named
 from .detection_outputs import DetectionVideo, write_outputs
 from .detection_source import DetectionSource, base_rain, opened_source
 
@@ -81,14 +82,17 @@ def detection(
     Each view is shown as it was taken (where a capture has it), clear, and in rains of several seeds. What is there
     to be found comes from the scene's actors (the street: its lead car, parked cars and trucks), from a capture's 3D
     boxes, or from a COCO file; objects lower than 16 px or less than a quarter visible are neither asked for nor held
-    against anybody who finds them. With --output, what is finished is kept there: the same command goes on after a
-    stop, and more seeds, intensities or detectors only add to it.
+    against anybody who finds them, nor are classes that a detector has no word for (a sign), which are listed apart.
+    What a data set only calls vehicle may be found as a car, truck, bus, van or trailer. With --output, what is
+    finished is kept there: the same command goes on after a stop, and more seeds, intensities or detectors only add to
+    it.
     """
     let_names_lead_outside(allow_outside)
     _check_installed()
     intensities = _intensities(rain)
     _check(seeds=seeds, frames=frames, width=width, first=first, last=last)
-    check_writable(output, video, json)
+    check_ending("--video", video, VIDEO_SUFFIXES)
+    check_writable(video, json, folders=[output])
     hold(output, video)
     detectors = _detectors(detector, description)
     asked = DetectionSource(source, capture, truth, frames, first, last, tuple(_words(cameras)), width, wet)
@@ -112,6 +116,8 @@ def detection(
                 advance()
     numbers = detection_numbers(recorder.judgements, detectors, detector, renderer.name, prepared, seeds)
     print_scores(numbers.scores, Console(width=_COLUMNS))
+    for sentence in told_not_named(numbers):
+        print(sentence)
     if video is not None:
         print(f"{video}: {recorder.frames} frames")
     if output is not None:

@@ -3,7 +3,8 @@
 import hashlib
 import shlex
 import sys
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,8 @@ class DetectionNumbers:
     distances: list[DistanceScore]
     robustness: dict[str, Robustness]
     settings: dict[str, Any]
+    not_named: dict[str, dict[str, int]]
+    """By detector and class, objects in views that it has no word for: neither found nor missed."""
 
     @property
     def plain(self) -> dict[str, Any]:
@@ -50,6 +53,7 @@ class DetectionNumbers:
         return {
             "settings": self.settings,
             "robustness": {n: {k: None if v != v else v for k, v in each.items()} for n, each in left.items()},
+            "not_named": self.not_named,
             "scores": [plain(each) for each in self.scores],
             "recall_by_distance": [plain(each) for each in self.distances],
             "rows": [row.plain() for row in self.rows],
@@ -66,6 +70,10 @@ def detection_numbers(
 ) -> DetectionNumbers:
     """Work out all numbers. Raises ValueError where no view shows anything that could be found."""
     rows = [row for each in judgements for row in rows_of(each)]
+    not_named = _not_named(judgements)
+    if not rows and any(not_named.values()):
+        words = "; ".join(f"{name} has no word for {_listed(each)}" for name, each in not_named.items() if each)
+        raise ValueError(f"{source.name}: nothing there can be named: {words}")
     if not rows:
         raise ValueError(
             f"{source.name}: none of {len(source.frames)} views shows an object of {LEAST_HEIGHT_PX:g} px or more, "
@@ -96,7 +104,30 @@ def detection_numbers(
         "backend": backend,
         "versions": package_versions(),
     }
-    return DetectionNumbers(rows, scored, distance_scores(rows), robustness_of(scored), settings)
+    return DetectionNumbers(rows, scored, distance_scores(rows), robustness_of(scored), settings, not_named)
+
+
+def _not_named(judgements: Sequence[Judgement]) -> dict[str, dict[str, int]]:
+    found: dict[str, set[tuple[str, str, str]]] = {each.detector: set() for each in judgements}
+    for each in judgements:
+        found[each.detector] |= {(each.frame, truth.id, truth.class_name) for truth in each.not_named}
+    return {
+        name: dict(sorted(Counter(class_name for _, _, class_name in objects).items()))
+        for name, objects in found.items()
+    }
+
+
+def _listed(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{name} ({count})" for name, count in counts.items())
+
+
+def told_not_named(numbers: DetectionNumbers) -> list[str]:
+    """Return a sentence for each detector that has no word for some of the objects."""
+    return [
+        f"Not asked of {name}, which has no word for them: {_listed(each)}."
+        for name, each in numbers.not_named.items()
+        if each
+    ]
 
 
 def package_versions() -> dict[str, str | None]:

@@ -18,7 +18,7 @@ from gsrain_engine.evaluate.report.run_report import Figure, ReportTable, RunRep
 from gsrain_engine.render.video import VideoWriter
 from gsrain_engine.scene.atomic_files import whole_file
 
-from .detection_numbers import DetectionNumbers
+from .detection_numbers import DetectionNumbers, told_not_named
 
 _SAMPLES = 4
 """Views that the report shows."""
@@ -118,6 +118,7 @@ def _report(numbers: DetectionNumbers, figures: list[Figure]) -> RunReport:
         title=f"Detection in rain: {settings['source']}",
         settings={name: _words(value) for name, value in settings.items()},
         figures=tuple(figures),
+        notes=tuple(told_not_named(numbers)),
         tables=(_scores_table(numbers), _distance_table(numbers)),
         headlines={
             "objects": str(len(objects)),

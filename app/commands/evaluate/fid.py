@@ -21,7 +21,7 @@ from gsrain_engine.evaluate.report.run_report import ReportTable, RunReport
 
 from ...console import Console, Table, bold, print
 from ..arguments import AllowOutside, JsonFileOrScreen, let_names_lead_outside, words_go_to, write_numbers
-from ..outputs import check_writable
+from ..outputs import check_page
 from ..progress import progress_bar
 from .run_facts import run_facts, set_hash, told_facts, write_beside
 
@@ -76,7 +76,7 @@ def fid(
     let_names_lead_outside(allow_outside)
     names = [name.strip() for name in extractor.split(",")]
     _check(names, weights, resamples)
-    check_writable(report, json)
+    check_page(report, json)
     kept = FeatureCache() if cache else None
     extractors = [
         _extractor(ExtractorChoice(name=name, weights=weights, device=device, allows_torchscript=torchscript))

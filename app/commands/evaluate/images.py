@@ -11,7 +11,8 @@ from cyclopts import Parameter
 from jaxtyping import Bool, UInt8
 
 from gsrain_engine.datasets.capture import View
-from gsrain_engine.datasets.files.picture_file import read_labels
+from gsrain_engine.datasets.files.picture_file import is_picture, read_labels
+from gsrain_engine.datasets.image_folder import capture_without_poses
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.other_pictures import pictures_below
 from gsrain_engine.evaluate.comparison.stamp import stamp
@@ -24,7 +25,7 @@ from gsrain_engine.evaluate.report.run_report import RunReport
 
 from ...console import Console, Table, bold, print
 from ..arguments import AllowOutside, JsonFileOrScreen, let_names_lead_outside, words_go_to, write_numbers
-from ..outputs import check_writable
+from ..outputs import check_page
 from ..progress import progress_bar
 from .perceived import perceived_distance
 from .run_facts import run_facts, set_hash, told_facts, write_beside
@@ -37,13 +38,18 @@ Picture = UInt8[np.ndarray, "h w 3"]
 
 
 def images(
-    shown: Annotated[Path, Parameter(name="A", help="Folder of pictures, or a capture.")],
-    truth: Annotated[Path, Parameter(name="B", help="What they should be: pictures of the same names and sizes.")],
+    shown: Annotated[Path, Parameter(name="A", help="A picture, a folder of pictures, or a capture.")],
+    truth: Annotated[
+        Path,
+        Parameter(name="B", help="What they should be: pictures of the same names and sizes; of a picture any other."),
+    ],
     /,
     *,
     masks: Annotated[
         Path | None,
-        Parameter(help="Folder of masks, NAME.png: what is not black is compared. Default: those of B, if it has any."),
+        Parameter(
+            help="Mask, or folder of masks NAME.png: what is not black is compared. Default: those of B, if it has any."
+        ),
     ] = None,
     lpips: Annotated[
         str | None, Parameter(help="LPIPS too: alex or vgg of this machine's weights, or a file of weights.")
@@ -60,12 +66,8 @@ def images(
     PSNR in dB and SSIM (at most 1) are higher for closer pictures, LPIPS (0 for equal ones) is lower.
     """
     let_names_lead_outside(allow_outside)
-    check_writable(report, json)
-    first, second = open_capture(shown), open_capture(truth)
-    others = {view.name: view for view in second}
-    pairs = [(view, others[view.name]) for view in first if view.name in others]
-    if not pairs:
-        raise ValueError(f"{shown} and {truth}: no picture of the one has the name of one of the other")
+    check_page(report, json)
+    pairs, left_out = _pairs(shown, truth)
     distance = None if lpips is None else perceived_distance(lpips)
     rows: list[Comparison] = []
     shares: list[float] = []
@@ -78,7 +80,6 @@ def images(
             hashes.append((picture_hash(pictures[0]), picture_hash(pictures[1])))
             shares.append(1.0 if mask is None else float(mask.mean()))
             advance()
-    left_out = len(first) + len(second) - 2 * len(pairs)
     means = {name: mean_interval(values, seed) for name, values in _columns(rows).items()}
     _print(rows, means, Console(file=words_go_to(json), width=_COLUMNS, highlight=False))
     if left_out:
@@ -103,7 +104,31 @@ def _inputs(hashes: Sequence[tuple[str, str]], shown: Path, truth: Path, masks: 
     return found if masks is None else found | {f"masks {masks}": stamp(masks)}
 
 
+def _pairs(shown: Path, truth: Path) -> tuple[list[tuple[View, View]], int]:
+    """Return views to compare, and how many pictures have no other; two files are a pair whatever they are called."""
+    first, second = _views(shown), _views(truth)
+    if _is_one(shown) and _is_one(truth):
+        return [(first[0], second[0])], 0
+    others = {view.name: view for view in second}
+    pairs = [(view, others[view.name]) for view in first if view.name in others]
+    if not pairs:
+        raise ValueError(f"{shown} and {truth}: no picture of the one has the name of one of the other")
+    if _is_one(shown) or _is_one(truth):
+        return pairs, 0  # one of many is asked for
+    return pairs, len(first) + len(second) - 2 * len(pairs)
+
+
+def _views(path: Path) -> list[View]:
+    return list(capture_without_poses(path, [path]) if _is_one(path) else open_capture(path))
+
+
+def _is_one(path: Path) -> bool:
+    return is_picture(path) and path.is_file()
+
+
 def _mask(folder: Path, view: View) -> Mask:
+    if folder.is_file():
+        return read_labels(folder) > 0
     file = pictures_below(folder).file_of(view.name, view.sensor)
     if file is None:
         raise ValueError(f"--masks {folder}: has no mask of {view.name}; expected {view.name}.png")

@@ -16,6 +16,7 @@ from gsrain_engine.evaluate.lidar.sweep_file import write_sweep
 from gsrain_engine.evaluate.lidar.sweep_in_rain import Answer
 from gsrain_engine.evaluate.lidar.turns import Turn, capture_turns, scene_turns
 from gsrain_engine.scene.content_hash import file_hash, scene_hash
+from gsrain_engine.scene.file_names import file_word
 from gsrain_engine.untrusted.explained_errors import converted
 from gsrain_engine.untrusted.plain_values import read_whole, yaml_values
 
@@ -79,7 +80,7 @@ def lidar(
     for name, value, most in (("--reflectance", reflectance, 1.0), ("--full-intensity", full_intensity, 1e6)):
         if value is not None and not 0 < value <= most:
             raise ValueError(f"{name} {value:g}: must be within 0..{most:g}")
-    check_writable(output / "lidar.png", json)
+    check_writable(output / "lidar.png", output / "report.html", json, folders=[output])
     hold(output)
     chosen = _sensor(sensor, range_10, least_reflectance)
     count, turns = _turns(source, chosen, sweeps, reflectance, full_intensity, told_range=range_10 is None)
@@ -137,7 +138,7 @@ def _turns(
 
 
 def _name(run: Run) -> str:
-    return f"{run.turn.name}_rain{run.state.intensity_mm_h:g}_seed{run.seed}.npz"
+    return f"{file_word(run.turn.name)}_rain{run.state.intensity_mm_h:g}_seed{run.seed}.npz"
 
 
 def _intensities(text: str) -> list[float]:

@@ -18,6 +18,7 @@ from gsrain_engine.rain.rain import Rain
 from ...console import Console, Table
 from ..arguments import JsonFileOrScreen, words_go_to, write_numbers
 from ..converted_options import converted_options
+from ..outputs import check_writable
 from ..progress import progress_bar
 
 _OPTIONS = {"intensity_mm_h": "rain", "aperture_mm": "aperture", "rain_light": "light"}
@@ -51,6 +52,7 @@ def streaks(
     """Measure rain streaks in the frames of a still camera, and in our rain before the same background."""
     if not _LEAST_FRAMES <= frames <= _MOST_FRAMES:
         raise ValueError(f"--frames {frames}: must be within {_LEAST_FRAMES}..{_MOST_FRAMES}")
+    check_writable(json)
     exposures = _exposures(exposure)
     part = _window(window) if window is not None else None
     sequences = _long_enough(real)

@@ -63,7 +63,7 @@ def transfers(
     told = with_trust(lambda: load_comparison(comparison), trust)
     names = tuple(name.strip() for name in only.split(",") if name.strip())
     told = told.only(names) if names else told
-    check_writable(output / "table.md", json)
+    check_writable(output / "table.md", json, folders=[output, *(output / each.name for each in told.methods)])
     hold(output)
     for each in told.methods:
         if each.method != CLEAR and method_of(each.method).needs_torch:

@@ -6,10 +6,10 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from gsrain_engine.evaluate.lpips_weights import read_lpips_weights
-from gsrain_engine.evaluate.weight_file import hash_of, write_arrays
+from gsrain_engine.evaluate.weight_file import ARRAY_SUFFIXES, hash_of, write_arrays
 
 from ...console import print
-from ..outputs import check_writable
+from ..outputs import check_ending, check_writable
 
 _Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write: .safetensors, or .npz.")]
 
@@ -27,6 +27,7 @@ def lpips_weights(
 
     Nothing in a file is run: pickles may hold arrays and containers, no more.
     """
+    check_ending("--output", output, ARRAY_SUFFIXES)
     check_writable(output)
     weights = read_lpips_weights(*files)
     weights.write(output)
@@ -44,6 +45,7 @@ def inception_weights(
     try:
         from gsrain_engine.evaluate.distribution.network_weights import inception_weights as read  # torch is an extra
 
+        check_ending("--output", output, ARRAY_SUFFIXES)
         check_writable(output)
         weights = read(file)
     except ModuleNotFoundError as error:

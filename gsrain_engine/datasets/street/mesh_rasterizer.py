@@ -1,6 +1,7 @@
 """Draws coloured quads with pyrender on EGL: unlit, either smooth or exact to the pixel's centre."""
 
 import os
+import sys
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -13,6 +14,7 @@ from jaxtyping import Float, Float32, Float64, UInt8
 from gsrain_engine.scene.camera import Camera
 
 NEAR_M, FAR_M = 0.2, 2500.0
+_WINDOW = "pyrender.viewer"
 
 
 class MeshRasterizer:
@@ -67,9 +69,16 @@ class MeshRasterizer:
 
 @cache
 def _load_pyrender() -> ModuleType:
-    """Import pyrender for EGL. Its release 0.1.45 asks NumPy for `infty`, which NumPy 2 no longer has."""
+    """Import pyrender for EGL. Its release 0.1.45 asks NumPy for `infty`, which NumPy 2 no longer has.
+
+    Its window, which nothing here opens, is left out: that needs pyglet, and pyglet libraries of X.
+    """
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     np.__dict__.setdefault("infty", np.inf)
+    if "pyrender" not in sys.modules:
+        window = ModuleType(_WINDOW)
+        window.Viewer = None  # pyright: ignore[reportAttributeAccessIssue]
+        sys.modules.setdefault(_WINDOW, window)
     import pyrender
 
     return pyrender

@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from gsrain_engine.untrusted.printable import figure_label
+from gsrain_engine.untrusted.figure_words import figure_words
 
 from ..road.planar_box import PlanarBox
 from ..road.route import Route
@@ -68,14 +68,15 @@ def _draw(axes: Axes, rollout: Rollout, route: Route | None) -> None:
     axes.plot(*way.T, color=_EGO, linewidth=1.6, zorder=4, label="ego vehicle, rear axle")
     _tell_times(axes, [(each.time_s, start.from_world(_own_box(rollout, each).corners)) for each in shown])
     _name_users(axes, rollout, start)
-    title = figure_label(_title(rollout) + _mark_collision(axes, rollout, start))
+    title = _title(rollout) + _mark_collision(axes, rollout, start)
     axes.set_title(title, loc="left", fontsize=10)
 
 
 def _title(rollout: Rollout) -> str:
     setting = run_setting(rollout)
     rain = "clear" if setting.intensity_mm_h == 0 else f"{setting.intensity_mm_h:g} mm/h"
-    return f"{setting.scenario}, {rollout.agent}, {rain}, seed {rollout.seed}"
+    names = f"{figure_words(setting.scenario)}, {figure_words(rollout.agent)}"
+    return f"{names}, {rain}, seed {rollout.seed}"
 
 
 def _own_box(rollout: Rollout, step: RolloutStep) -> PlanarBox:
@@ -152,7 +153,7 @@ def _name_users(axes: Axes, rollout: Rollout, start: VehicleState) -> None:
     for name, box in last.items():
         corners = start.from_world(box.corners)
         axes.annotate(
-            figure_label(name), (corners[:, 0].mean(), corners[:, 1].max()), (0, 3), textcoords="offset points",
+            figure_words(name, 24), (corners[:, 0].mean(), corners[:, 1].max()), (0, 3), textcoords="offset points",
             ha="center", va="bottom", fontsize=8, color=_OTHER,
         )  # fmt: skip
 
@@ -164,7 +165,7 @@ def _mark_collision(axes: Axes, rollout: Rollout, start: VehicleState) -> str:
         return ""
     place = start.from_world(_touch(rollout, hit)[None])
     axes.plot(*place.T, "X", color=_HIT, markersize=12, markeredgecolor="white", zorder=6, label="collision")
-    return f": hits {hit.collision} at {hit.time_s:g} s with {hit.ego.speed_m_s:.1f} m/s"
+    return f": hits {figure_words(hit.collision, 24)} at {hit.time_s:g} s with {hit.ego.speed_m_s:.1f} m/s"
 
 
 def _touch(rollout: Rollout, step: RolloutStep) -> Float64[np.ndarray, "2"]:

@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from gsrain_engine.scene.atomic_files import whole_file
-from gsrain_engine.untrusted.printable import figure_label
+from gsrain_engine.untrusted.figure_words import figure_words
 
 from .comfort_limits import PAPER
 from .comparison import Comparison, WeatherRuns
@@ -50,7 +50,7 @@ def kinematics_figure(comparison: Comparison) -> Figure:
     figure.legend(
         handles, labels, loc="outside lower center", ncols=min(len(labels), 6), frameon=False, fontsize=9
     )  # fmt: skip
-    figure.suptitle(figure_label(comparison.title), fontsize=12, x=0.01, ha="left")
+    figure.suptitle(figure_words(comparison.title, 110), fontsize=12, x=0.01, ha="left")
     return figure
 
 

@@ -89,7 +89,7 @@ def hugsim_scenario(values: object, path: Path) -> Scenario:
         "duration_s": _MOST_STEPS * _STEP_S,
     }
     try:
-        return msgspec.convert(plain, Scenario)
+        return converted(plain, Scenario)
     except msgspec.ValidationError as error:
         raise ValueError(f"{path}: {error}") from None
 
@@ -108,7 +108,7 @@ def _user(path: Path, number: int, row: _Row, found: _HugsimScenario) -> Scenari
         "behaviour": _behaviour(where, row),
     }
     try:
-        return msgspec.convert(plain, ScenarioUser)
+        return converted(plain, ScenarioUser)
     except msgspec.ValidationError as error:
         raise ValueError(f"{where}: {error}") from None
 

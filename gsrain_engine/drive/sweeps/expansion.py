@@ -8,6 +8,7 @@ from gsrain_engine.evaluate.detection.detector_place import find_detector
 from gsrain_engine.extensions import AGENTS, DECODERS, SCENE_FORMATS, extensions
 from gsrain_engine.rain.calibration import calibration_names
 from gsrain_engine.scene.content_hash import file_hash, scene_hash
+from gsrain_engine.scene.file_names import name_problem
 
 from ..agents.agent_file import agent_file
 from ..agents.registry import agent_names
@@ -94,11 +95,18 @@ def _has_suffix(name: str, suffix: str) -> bool:
 def _renders(sweep: RenderSweep) -> list[Job]:
     hashes = _Hashes()
     recording = sweep.recording
-    recording.check()
-    if recording.path.is_absolute() or ".." in recording.path.parts:
-        raise ValueError(f"recording.output {recording.output}: expected a name in the clip's own folder, as clip.mp4")
     if sweep.labels is not None and "depth" not in recording.passes:
         recording = structs.replace(recording, passes=(*recording.passes, "depth"))
+    try:
+        recording.check()
+    except ValueError as error:
+        raise ValueError(f"recording.output {error}") from None
+    if recording.path.is_absolute() or ".." in recording.path.parts or not recording.path.parts:
+        raise ValueError(
+            f"recording.output {recording.output!r}: expected a name in the clip's own folder, as clip.mp4"
+        )
+    if (problem := name_problem(recording.path)) is not None:
+        raise ValueError(f"recording.output: {problem}")
     return [
         RenderJob(
             program=program_version(),

@@ -3,21 +3,22 @@
 from collections.abc import Callable, Sequence
 from pathlib import PurePath
 
-import matplotlib
 import numpy as np
 from jaxtyping import UInt8
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from gsrain_engine.evaluate.series_styles import SeriesStyle, series_styles
 from gsrain_engine.rain.rain import CALIBRATED_UP_TO_MM_H
-from gsrain_engine.untrusted.printable import figure_label
+from gsrain_engine.untrusted.figure_words import figure_words
 
 from .summary import Cell, Spread
 
 _PANEL_IN, _DPI = (4.4, 3.3), 120
-_ASIDE = 0.012
-"""Of the widest intensity: how far curves stand beside each other."""
+_ASIDE, _ALL_ASIDE = 0.012, 0.06
+"""Of the widest intensity: how far curves stand from each other, and all of them together at most."""
+_LEGEND_COLUMNS, _LEGEND_LINE_IN = 4, 0.2
 
 
 def _mean(name: str) -> Callable[[Cell], Spread | None]:
@@ -38,22 +39,26 @@ def scenario_figure(cells: Sequence[Cell]) -> UInt8[np.ndarray, "h w 3"]:
     The same cells give the same bytes. Bands are the 95 % intervals of the cells; the first panel's are Wilson's.
     """
     rows, columns = 2, len(_PANELS) // 2
-    figure = Figure(figsize=(columns * _PANEL_IN[0], rows * _PANEL_IN[1] + 0.6), layout="constrained", dpi=_DPI)
+    agents = list(dict.fromkeys(cell.agent for cell in cells))
+    legend_in = _LEGEND_LINE_IN * -(-len(agents) // _LEGEND_COLUMNS)
+    size = columns * _PANEL_IN[0], rows * _PANEL_IN[1] + 0.4 + legend_in
+    figure = Figure(figsize=size, layout="constrained", dpi=_DPI)
     panels: list[Axes] = list(np.ravel(figure.subplots(rows, columns, sharex=True)))
-    colors, agents = matplotlib.colormaps["tab10"], list(dict.fromkeys(cell.agent for cell in cells))
-    aside = _ASIDE * max(cell.intensity_mm_h for cell in cells)  # else equal curves would hide each other
+    styles = series_styles(len(agents))
+    # else equal curves would hide each other
+    aside = min(_ASIDE, _ALL_ASIDE / len(agents)) * max(cell.intensity_mm_h for cell in cells)
     for number, (panel, (title, value)) in enumerate(zip(panels, _PANELS, strict=True)):
         for place, agent in enumerate(agents):
             own = [cell for cell in cells if cell.agent == agent]
-            _curve(panel, own, value, colors(place), agent, aside * (place - (len(agents) - 1) / 2))
+            _curve(panel, own, value, styles[place], figure_words(agent, 28), aside * (place - (len(agents) - 1) / 2))
         _dress(panel, title, cells, is_lowest=number >= columns)
     runs = sorted({cell.runs for cell in cells})
     seeds = f"{runs[0]}" if len(runs) == 1 else f"{runs[0]} to {runs[-1]}"
-    title = f"{cells[0].scenario} in {PurePath(cells[0].scene).name}: {seeds} drives a point"
-    figure.suptitle(figure_label(title), fontsize=11)
+    where = f"{figure_words(cells[0].scenario)} in {figure_words(PurePath(cells[0].scene).name)}"
+    figure.suptitle(f"{where}: {seeds} drives a point", fontsize=11)
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside lower center", frameon=False, fontsize=9,
-        ncols=min(len(agents), 4),
+        ncols=min(len(agents), _LEGEND_COLUMNS),
     )  # fmt: skip
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
@@ -61,14 +66,16 @@ def scenario_figure(cells: Sequence[Cell]) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def _curve(
-    panel: Axes, cells: Sequence[Cell], value: Callable[[Cell], Spread | None], color: object, label: str, aside: float
-) -> None:
+    panel: Axes, cells: Sequence[Cell], value: Callable[[Cell], Spread | None], style: SeriesStyle, label: str,
+    aside: float,
+) -> None:  # fmt: skip
     points = [(cell.intensity_mm_h, spread) for cell in cells if (spread := value(cell)) is not None]
     x = [each + aside for each, _ in points]
     spreads = [each for _, each in points]
-    panel.plot(x, [each.mean for each in spreads], "o-", color=color, label=figure_label(label), ms=4)
+    color, means = style.color, [each.mean for each in spreads]
+    panel.plot(x, means, linestyle=style.line, marker=style.marker, color=color, label=label, ms=4)
     if len(points) > 1:
-        panel.fill_between(x, [s.low for s in spreads], [s.high for s in spreads], color=color, alpha=0.15, lw=0)
+        panel.fill_between(x, [s.low for s in spreads], [s.high for s in spreads], color=color, alpha=style.band, lw=0)
     for at, each in zip(x, spreads, strict=True):
         panel.plot([at, at], [each.low, each.high], color=color, alpha=0.6, lw=1)
 

@@ -10,6 +10,7 @@ from PIL import Image
 from gsrain_engine.evaluate.report.report_file import write_report
 from gsrain_engine.evaluate.report.run_report import Figure
 from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.scene.file_names import shortened
 
 from .figures import scenario_figure
 from .job import DriveJob, Job
@@ -72,7 +73,7 @@ def _written_figures(folder: Path, scenarios: Sequence[Sequence[Cell]]) -> list[
     names: list[str] = []
     for cells in scenarios:
         scenario, scene = cells[0].scenario, cells[0].scene
-        name = "".join(each if each.isalnum() else "-" for each in f"{scenario}-{PurePath(scene).stem}")
+        name = shortened("".join(each if each.isalnum() else "-" for each in f"{scenario}-{PurePath(scene).stem}"))
         names.append(name)
         file = folder / (f"{name}.png" if names.count(name) == 1 else f"{name}-{names.count(name)}.png")
         figures.append(Figure(f"{scenario}, {scene}", scenario_figure(cells), caption))

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from .class_names import label_class, names_class
 from .detector import Detection
-from .matching import Boxed
+from .matching import LEAST_IOU, Boxed
+from .suppression import intersection_over_union
 
 _ABSENT = -1
 """What the COCO evaluation gives for a class without labelled objects."""
@@ -51,6 +53,8 @@ def average_precision(
 
     The area below precision over recall, at 101 recalls, mean over classes; mAP50 with matches from an IoU of 0.5 on,
     mAP the mean over 0.50, 0.55, ... 0.95 (Lin et al. 2014 and COCO's own program). 0 to 1, higher is better.
+    A detection counts for the class that its word names (`names_class`); where it names several that are labelled, as
+    car does a vehicle of unknown kind too, for that of the object which it lies on, and on none for its own.
     Detections of classes that nothing is labelled with do not count, neither for nor against; nor do those that lie
     in `ignored` objects of their class, which nobody has to find (COCO's crowds). Raises ValueError where the numbers
     of pictures differ, ModuleNotFoundError with what to install where pycocotools is missing.
@@ -90,9 +94,9 @@ def _precision(
         *(_entry(image, box, numbers) | {"iscrowd": 1} for image, boxes in enumerate(ignored) for box in boxes),
     ]
     scored = [
-        _entry(image, box, numbers) | {"score": box.confidence}
-        for image, boxes in enumerate(detections)
-        for box in boxes
+        _entry(image, box, numbers, named) | {"score": box.confidence}
+        for image, (boxes, there) in enumerate(zip(detections, truths, strict=True))
+        for box, named in zip(boxes, _named(boxes, there, classes), strict=True)
     ]
     with contextlib.redirect_stdout(io.StringIO()):  # it prints its progress
         evaluation = COCOeval(
@@ -103,13 +107,35 @@ def _precision(
     return evaluation.eval["precision"][:, :, :, 0, -1]
 
 
-def _entry(image: int, box: Boxed, numbers: dict[str, int]) -> dict[str, Any]:
-    """A box in COCO's words: corner and size; 0 is the category of classes that do not count."""
+def _named(detections: Sequence[Detection], truths: Sequence[Boxed], classes: Sequence[str]) -> list[str | None]:
+    """Return the labelled class that each detection counts for; None for no class."""
+    found: list[str | None] = []
+    for each in detections:
+        candidates = [name for name in classes if names_class(each.class_name, name)]
+        if len(candidates) > 1:
+            own = [truth for truth in truths if truth.class_name in candidates]
+            overlaps = intersection_over_union(_boxes(own), _boxes([each]))[:, 0] if own else np.zeros(1)
+            best = int(np.argmax(overlaps))
+            exact = [name for name in candidates if name == label_class(each.class_name)]
+            candidates = [own[best].class_name] if overlaps[best] >= LEAST_IOU else exact or candidates
+        found.append(candidates[0] if candidates else None)
+    return found
+
+
+def _boxes(objects: Sequence[Boxed]) -> np.ndarray:
+    return np.array([each.box_xyxy for each in objects], np.float64).reshape(-1, 4)
+
+
+def _entry(image: int, box: Boxed, numbers: dict[str, int], named: str | None = "") -> dict[str, Any]:
+    """A box in COCO's words: corner and size; 0 is the category of classes that do not count.
+
+    `named` is the class that it counts for where it is not its own.
+    """
     left, top, right, bottom = box.box_xyxy
     width, height = right - left, bottom - top
     return {
         "image_id": image + 1,
-        "category_id": numbers.get(box.class_name, 0),
+        "category_id": numbers.get(box.class_name if named == "" else named or "", 0),
         "bbox": [left, top, width, height],
         "area": width * height,
         "iscrowd": 0,

@@ -6,6 +6,7 @@ from typing import Any
 from gsrain_engine.untrusted.plain_values import json_values, read_whole
 from gsrain_engine.untrusted.printable import printable
 
+from .class_names import label_class
 from .truth import LabelledObject
 
 _MOST_BYTES = 1 << 30
@@ -39,7 +40,7 @@ def _object(annotation: dict[str, Any], classes: dict[int, str]) -> LabelledObje
     distance = annotation.get("distance_m")
     return LabelledObject(
         id=str(annotation.get("object", annotation["id"])),
-        class_name=classes[int(annotation["category_id"])],
+        class_name=label_class(classes[int(annotation["category_id"])]),
         box_xyxy=(left, top, left + width, top + height),
         visibility=float(annotation.get("visibility", 1.0)),
         distance_m=None if distance is None else float(distance),

@@ -2,18 +2,18 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
-from itertools import cycle
+from math import ceil
 from typing import Literal, TypeVar
 
-import matplotlib
 import numpy as np
 from jaxtyping import UInt8
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 
-from gsrain_engine.untrusted.printable import figure_label
+from gsrain_engine.untrusted.figure_words import figure_words
 
+from ..series_styles import SeriesStyle, legend_at_right, legend_width_in, series_styles
 from .summary import Spread, WeatherScore
 from .sweep import Row
 
@@ -28,8 +28,8 @@ _WORDS = {
     "map50": "mAP50",
 }
 
-_MEANS = ("--", ":", "-.", (0, (1, 3)))
-"""Lines of the means: over all objects, then by class."""
+_MOST_PANELS = 4
+"""In a row; those of more detectors go into the next."""
 
 _Seeds = dict[int, list[float]]
 _Line = TypeVar("_Line", Row, WeatherScore)
@@ -38,43 +38,60 @@ _Line = TypeVar("_Line", Row, WeatherScore)
 def object_figure(rows: Sequence[Row], number: Literal["confidence", "iou"]) -> Figure:
     """Draw a number against the intensity, a curve for each object and one panel for each detector.
 
-    A point is the mean over frames and seeds, a band reaches from the lowest to the highest seed's mean over frames.
-    Where there are both, a cross is the picture as it was taken, and the curve begins at its reconstruction.
+    Where there are several classes of objects, a second block of panels has a curve for each of these. A point is the
+    mean over frames and seeds, a band reaches from the lowest to the highest seed's mean over frames. Where there are
+    both, a cross is the picture as it was taken, and the curve begins at its reconstruction.
     """
+    objects = shown_objects(rows)
+    many: dict[str, set[str]] = defaultdict(set)
+    for row in rows:
+        many[row.class_name].add(row.object)
+    classes = {name: f"{figure_words(name, 20)}, {_counted(many[name])}" for name in sorted(many)}
+    blocks = [("object", objects), ("class_name", classes)] if len(classes) > 1 else [("object", objects)]
     detectors = list(dict.fromkeys(row.detector for row in rows))
-    chosen = shown_objects(rows)
-    figure = Figure(figsize=(_WIDTH_IN * len(detectors) + 2.0, _HEIGHT_IN), layout="constrained")
-    panels: list[Axes] = list(np.atleast_1d(figure.subplots(1, len(detectors), sharey=True)))
-    colors = matplotlib.colormaps["tab10"]
-    for panel, detector in zip(panels, detectors, strict=True):
-        own = [row for row in rows if row.detector == detector]
-        for place, name in enumerate(chosen):
-            _curve(panel, [row for row in own if row.object == name], number, colors(place), chosen[name])
-        _everything(panel, own, number)
-        _dress(panel, detector, _WORDS[number] if panel is panels[0] else "")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", frameon=False, fontsize=8)
+    columns = min(len(detectors), _MOST_PANELS)
+    lines = ceil(len(detectors) / columns)
+    height = lines * _HEIGHT_IN
+    beside = max(legend_width_in(len(names) + 1, height) for _, names in blocks)
+    figure = Figure(figsize=(_WIDTH_IN * columns + beside, height * len(blocks)), layout="constrained")
+    parts: list[SubFigure] = list(figure.subfigures(len(blocks), 1, squeeze=False).ravel())
+    for part, (field, names) in zip(parts, blocks, strict=True):
+        grid: list[Axes] = list(np.ravel(part.subplots(lines, columns, sharey=True)))
+        styles = series_styles(len(names))
+        for place, (panel, detector) in enumerate(zip(grid, detectors, strict=False)):
+            own = [row for row in rows if row.detector == detector]
+            for style, name in zip(styles, names, strict=True):
+                _curve(panel, [row for row in own if getattr(row, field) == name], number, style, names[name])
+            _everything(panel, own, number)
+            _dress(panel, figure_words(detector), _WORDS[number] if place % columns == 0 else "")
+        for panel in grid[len(detectors) :]:
+            panel.set_axis_off()
+        handles, labels = grid[0].get_legend_handles_labels()
+        legend_at_right(part, handles, labels, height)
     return figure
 
 
 def precision_figure(scores: Sequence[WeatherScore]) -> Figure:
     """Draw mAP and mAP50 of each detector against the intensity, with the range over the seeds."""
-    figure = Figure(figsize=(2 * _WIDTH_IN, _HEIGHT_IN), layout="constrained")
+    detectors = list(dict.fromkeys(each.detector for each in scores))
+    entries = len(detectors) + len({each.detector for each in scores if each.picture == "original"})
+    beside = legend_width_in(entries, _HEIGHT_IN)
+    figure = Figure(figsize=(2 * _WIDTH_IN + beside, _HEIGHT_IN), layout="constrained")
     panels: list[Axes] = list(figure.subplots(1, 2, sharey=True))
-    colors = matplotlib.colormaps["tab10"]
     for panel, number in zip(panels, ("map", "map50"), strict=True):
-        for place, detector in enumerate(dict.fromkeys(each.detector for each in scores)):
+        for style, detector in zip(series_styles(len(detectors)), detectors, strict=True):
             own = [each for each in scores if each.detector == detector]
             drawn = _one_without_rain(own)
             spreads: list[Spread] = [getattr(each, number) for each in drawn]
-            _band(panel, [each.intensity_mm_h for each in drawn], spreads, colors(place), detector)
+            _band(panel, [each.intensity_mm_h for each in drawn], spreads, style, figure_words(detector, 28))
             for each in own:
                 if each not in drawn:
                     value = getattr(each, number).mean
                     panel.plot(
-                        [0], [value], "x", color=colors(place), label=figure_label(f"{detector}, pictures as taken")
+                        [0], [value], "x", color=style.color, label=f"{figure_words(detector, 28)}, pictures as taken"
                     )
         _dress(panel, "", _WORDS[number])
-    panels[0].legend(frameon=False, fontsize=8)
+    legend_at_right(figure, *panels[0].get_legend_handles_labels(), _HEIGHT_IN)
     return figure
 
 
@@ -103,30 +120,26 @@ def shown_objects(rows: Sequence[Row]) -> dict[str, str]:
 def _called(name: str, class_name: str, distance_m: float, frames: int) -> str:
     short = name if len(name) <= 14 else f"{name[:6]}..{name[-6:]}"
     where = f", {distance_m:.0f} m" if np.isfinite(distance_m) else ""
-    return f"{short}: {class_name}{where}, {frames} frame{'s' if frames > 1 else ''}"
+    return f"{figure_words(short)}: {figure_words(class_name, 20)}{where}, {frames} frame{'s' if frames > 1 else ''}"
 
 
-def _curve(panel: Axes, rows: Sequence[Row], number: str, color: object, label: str) -> None:
+def _counted(objects: set[str]) -> str:
+    return f"mean of {len(objects)} object{'' if len(objects) == 1 else 's'}"
+
+
+def _curve(panel: Axes, rows: Sequence[Row], number: str, style: SeriesStyle, label: str) -> None:
     intensities, spreads = _over_seeds(_one_without_rain(rows), number)
-    _band(panel, intensities, spreads, color, label)
+    _band(panel, intensities, spreads, style, label)
     taken = [getattr(row, number) for row in rows if row.picture == "original"]
     if taken and any(row.picture == "clear" for row in rows):
-        panel.plot([0], [float(np.mean(taken))], "x", color=color, markersize=7, clip_on=False)
+        panel.plot([0], [float(np.mean(taken))], "x", color=style.color, markersize=7, clip_on=False)
 
 
 def _everything(panel: Axes, rows: Sequence[Row], number: str) -> None:
-    """The mean over all objects, in black; where there are several classes, also that over each."""
-    classes = sorted({row.class_name for row in rows})
-    groups = {"object": list(rows)}
-    if len(classes) > 1:
-        groups |= {name: [row for row in rows if row.class_name == name] for name in classes}
-    for (name, own), style in zip(groups.items(), cycle(_MEANS)):
-        intensities, spreads = _over_seeds(_one_without_rain(own), number)
-        many = len({row.object for row in own})
-        label = f"mean of {many} {name}{'s' if many > 1 else ''}"
-        panel.plot(
-            intensities, [each.mean for each in spreads], style, color="black", linewidth=1.6, label=figure_label(label)
-        )
+    """Draw the mean over all objects, in black."""
+    intensities, spreads = _over_seeds(_one_without_rain(rows), number)
+    label = _counted({row.object for row in rows})
+    panel.plot(intensities, [each.mean for each in spreads], "--", color="black", linewidth=1.8, label=label)
 
 
 def _one_without_rain(lines: Sequence[_Line]) -> list[_Line]:
@@ -143,16 +156,17 @@ def _over_seeds(rows: Sequence[Row], number: str) -> tuple[list[float], list[Spr
     return intensities, [Spread.of(float(np.mean(each)) for each in by_intensity[r].values()) for r in intensities]
 
 
-def _band(panel: Axes, x: Sequence[float], spreads: Sequence[Spread], color: object, label: str) -> None:
+def _band(panel: Axes, x: Sequence[float], spreads: Sequence[Spread], style: SeriesStyle, label: str) -> None:
     lows, highs = [each.low for each in spreads], [each.high for each in spreads]
-    panel.fill_between(x, lows, highs, color=color, alpha=0.18, linewidth=0)
+    panel.fill_between(x, lows, highs, color=style.color, alpha=style.band, linewidth=0)
     panel.plot(
-        x, [each.mean for each in spreads], "o-", color=color, markersize=3.5, linewidth=1.4, label=figure_label(label)
-    )
+        x, [each.mean for each in spreads], linestyle=style.line, marker=style.marker, color=style.color,
+        markersize=3.5, linewidth=1.4, label=label,
+    )  # fmt: skip
 
 
 def _dress(panel: Axes, title: str, words: str) -> None:
-    panel.set_title(figure_label(title), fontsize=10)
+    panel.set_title(title, fontsize=10)
     panel.set_xlabel("rain intensity (mm/h)")
     panel.set_ylabel(words)
     panel.set_ylim(-0.02, 1.02)

@@ -18,6 +18,8 @@ from .pictures import Trial
 from .sweep import Judgement
 
 FINISHED_FILE = "finished.jsonl"
+_FORM = b"2"
+"""Goes up where the same inputs are judged otherwise than in an earlier program."""
 _DIGITS = 16
 
 _Picture = tuple[str, str, float, int]
@@ -47,7 +49,7 @@ class Finished:
             detectors: By name, a hash of its file and of how it is used.
         """
         told = msgspec.json.encode(inputs, order="sorted")
-        self._bases = {name: _hash(told, name.encode(), each.encode()) for name, each in detectors.items()}
+        self._bases = {name: _hash(_FORM, told, name.encode(), each.encode()) for name, each in detectors.items()}
         self._file = file
         self._known: dict[_Picture, Judgement] = {}
         self._stream: BinaryIO | None = None

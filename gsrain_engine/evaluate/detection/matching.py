@@ -7,6 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float64
 
+from .class_names import names_class
 from .detector import Detection
 from .suppression import intersection_over_union
 
@@ -19,7 +20,7 @@ class Boxed(Protocol):
 
     @property
     def class_name(self) -> str:
-        """Its class, as the detector calls it (`coco_class`)."""
+        """Its class; `names_class` tells which words of a detector are right for it."""
         ...
 
     @property
@@ -42,7 +43,7 @@ class Match:
     class_seen: str | None
     """Class of that detection; None where nothing was found there."""
     flipped_to: str | None
-    """`class_seen` where it is another than the object's; else None."""
+    """`class_seen` where that is no word for the object; else None."""
 
 
 def matched(truths: Sequence[Boxed], detections: Sequence[Detection], least_iou: float = LEAST_IOU) -> list[Match]:
@@ -56,7 +57,7 @@ def matched(truths: Sequence[Boxed], detections: Sequence[Detection], least_iou:
     overlaps = intersection_over_union(
         _boxes([each.box_xyxy for each in truths]), _boxes([each.box_xyxy for each in order])
     )
-    same = np.array([[truth.class_name == each.class_name for each in order] for truth in truths], bool)
+    same = np.array([[names_class(each.class_name, truth.class_name) for each in order] for truth in truths], bool)
     same = same.reshape(overlaps.shape)
     own = _greedy([np.where(same, overlaps, 0.0)], least_iou)
     anything = _greedy([np.where(same, overlaps, 0.0), overlaps], least_iou)
@@ -71,7 +72,7 @@ def matched(truths: Sequence[Boxed], detections: Sequence[Detection], least_iou:
                 confidence_any_class=0.0 if seen is None else order[seen].confidence,
                 iou_any_class=0.0 if seen is None else float(overlaps[row, seen]),
                 class_seen=class_seen,
-                flipped_to=None if class_seen == truth.class_name else class_seen,
+                flipped_to=None if class_seen is None or names_class(class_seen, truth.class_name) else class_seen,
             )
         )
     return matches

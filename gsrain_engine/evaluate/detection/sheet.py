@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import ceil
 
 import cv2
 import numpy as np
@@ -13,6 +14,8 @@ from .sweep import JudgedPicture
 from .truth import BoxXYXY
 
 WIDEST_PX = 1920
+_NARROWEST_PX = 240
+"""Of a picture; where so many don't fit side by side, they go on below."""
 SHOWN_FROM = 0.25
 """Confidence from which a detection is drawn, and counts as found."""
 
@@ -24,21 +27,24 @@ _WORDS = {"original": "as taken", "clear": "without rain"}
 def detection_sheet(pictures: Sequence[JudgedPicture]) -> UInt8[np.ndarray, "h w 3"]:
     """Lay the pictures of one view side by side, a row for each detector: what it found, what it missed.
 
-    Width and height are even, as videos need them; at most 1920 px wide.
+    Pictures of many weathers go on below in as many blocks of rows. Width and height are even, as videos need them; at
+    most 1920 px wide.
     """
     first = pictures[0]
-    columns, detectors = len(pictures), list(first.judgements)
+    columns, detectors = min(len(pictures), (WIDEST_PX - _GAP_PX) // (_NARROWEST_PX + _GAP_PX)), list(first.judgements)
     wide = min(first.image.shape[1], (WIDEST_PX - (columns + 1) * _GAP_PX) // columns)
     tall = round(wide * first.image.shape[0] / first.image.shape[1])
     width = columns * (wide + _GAP_PX) + _GAP_PX
-    height = _LINE_PX + len(detectors) * (_LINE_PX + tall + _GAP_PX)
+    block = _LINE_PX + len(detectors) * (_LINE_PX + tall + _GAP_PX)
+    height = block * ceil(len(pictures) / columns)
     sheet = Image.new("RGB", (width + width % 2, height + height % 2), _PAPER)
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(_TEXT_PX)
-    for column, picture in enumerate(pictures):
+    for place, picture in enumerate(pictures):
+        line, column = divmod(place, columns)
         left = _GAP_PX + column * (wide + _GAP_PX)
-        draw.text((left, 4), _weather(picture), _INK, font)
+        draw.text((left, line * block + 4), _weather(picture), _INK, font)
         for row, detector in enumerate(detectors):
-            top = _LINE_PX + row * (_LINE_PX + tall + _GAP_PX)
+            top = line * block + _LINE_PX + row * (_LINE_PX + tall + _GAP_PX)
             judgement = picture.judgements[detector]
             found = sum(match.confidence >= SHOWN_FROM for match in judgement.matches)
             draw.text((left, top + 2), f"{detector}: {found} of {len(judgement.truths)} found", _FAINT, font)

@@ -10,6 +10,7 @@ from jaxtyping import Float64
 from scipy.special import stdtrit
 
 from .average_precision import average_precision
+from .class_names import names_class
 from .distance_recall import DistanceRecall, recall_by_distance
 from .pictures import Kind
 from .robustness import Robustness, robustness
@@ -183,7 +184,9 @@ def _precisions(by_seed: dict[int, list[Judgement]]) -> list[tuple[float, float]
 
 
 def _is_flip(row: Row) -> bool:
-    return row.class_seen not in (None, row.class_name) and row.confidence_any_class >= FOUND_FROM
+    if row.class_seen is None or names_class(row.class_seen, row.class_name):
+        return False
+    return row.confidence_any_class >= FOUND_FROM
 
 
 def _mean(rows: Sequence[Row], name: str) -> float:

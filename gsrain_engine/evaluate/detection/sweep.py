@@ -8,6 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import UInt8
 
+from .class_names import can_name
 from .detector import Detection
 from .frames import JudgedFrame
 from .matching import LEAST_IOU, Match, matched
@@ -23,6 +24,11 @@ class Finder(Protocol):
     @property
     def name(self) -> str:
         """What rows call it."""
+        ...
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Words that it has for objects; without any it is taken to know all."""
         ...
 
     def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
@@ -43,6 +49,8 @@ class Judgement:
     """One for each of them."""
     detections: tuple[Detection, ...]
     """Without those that found an object which is not asked for."""
+    not_named: tuple[LabelledObject, ...] = ()
+    """Objects that would be asked for, had the detector a word for them: a sign, for one of COCO's classes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,25 +101,30 @@ def judged_pictures(
             for each in detectors:
                 judgement = None if memory is None else memory.known(each.name, frame, trial)
                 if judgement is None:
-                    judgement = judged(each.name, frame, trial, each.detect(take()))
+                    judgement = judged(each.name, frame, trial, each.detect(take()), each.classes)
                     if memory is not None:
                         memory.keep(judgement, frame)
                 judgements[each.name] = judgement
             yield JudgedPicture(frame, trial, judgements, take)
 
 
-def judged(detector: str, frame: JudgedFrame, trial: Trial, detections: Sequence[Detection]) -> Judgement:
-    """Match detections with the objects of a view.
+def judged(
+    detector: str, frame: JudgedFrame, trial: Trial, detections: Sequence[Detection], classes: tuple[str, ...] = ()
+) -> Judgement:
+    """Match detections with the objects of a view; `classes` are those that the detector can name, if it tells.
 
-    Objects too small or too hidden to be asked for take part in the matching, so that who finds them is not wrong.
+    Objects that are not asked for take part in the matching, so that who finds them is not wrong: those too small or
+    too hidden, and those of classes that the detector has no word for.
     """
-    truths = tuple(each for each in frame.truths if each.counts)
+    counted = tuple(each for each in frame.truths if each.counts)
+    truths = tuple(each for each in counted if can_name(classes, each.class_name))
     matches = tuple(matched(truths, detections))
-    others = [each for each in frame.truths if not each.counts]
+    others = [each for each in frame.truths if each not in truths]
     fair = tuple(detections)
     if others and detections:
         fair = _without_finds(detections, truths, others)
-    return Judgement(detector, trial, frame.name, truths, matches, fair)
+    not_named = tuple(each for each in counted if each not in truths)
+    return Judgement(detector, trial, frame.name, truths, matches, fair, not_named)
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ class LabelledObject:
     id: str
     """The same in every frame of a drive."""
     class_name: str
-    """As COCO calls it, where COCO knows it."""
+    """As COCO calls it, where COCO knows it; see `label_class`."""
     box_xyxy: BoxXYXY
     """What can be seen of it, cut at the picture's edges."""
     visibility: float = 1.0

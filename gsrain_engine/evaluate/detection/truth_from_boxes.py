@@ -10,8 +10,8 @@ from gsrain_engine.datasets.capture import TrackedBox
 from gsrain_engine.render.objects.box_outline import bounds, cut_at_edges, outline
 from gsrain_engine.scene.box_corners import box_corners
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.coco_classes import coco_class
 
+from .class_names import label_class
 from .truth import LabelledObject
 
 
@@ -33,7 +33,7 @@ def truth_from_boxes(boxes: Sequence[TrackedBox], camera: Camera, time_s: float)
         if own.any():
             visibility = float((own & ~covered).sum() / own.sum())
             distance = _distance(to_camera, box)
-            truths.append(LabelledObject(box.id, coco_class(box.class_name), bounds(within), visibility, distance))
+            truths.append(LabelledObject(box.id, label_class(box.class_name), bounds(within), visibility, distance))
             covered |= own
     return tuple(truths)
 

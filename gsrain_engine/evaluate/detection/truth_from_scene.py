@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from gsrain_engine.render.objects.seen_objects import seen_objects
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.coco_classes import coco_class
 from gsrain_engine.scene.objects import SceneObject
 from gsrain_engine.scene.scene import Scene
 
+from .class_names import label_class
 from .truth import LabelledObject
 
 
@@ -21,7 +21,7 @@ def truth_from_scene(
     """
     return tuple(
         LabelledObject(
-            each.object.id, coco_class(each.object.class_name), each.box_xyxy, each.visibility, each.distance_m
+            each.object.id, label_class(each.object.class_name), each.box_xyxy, each.visibility, each.distance_m
         )
         for each in seen_objects(renderer, scene, objects, camera, time_s)
     )

@@ -12,6 +12,7 @@ from matplotlib.ticker import PercentFormatter
 
 from gsrain_engine.scene.atomic_files import whole_file
 
+from ..series_styles import Color, shades
 from .runs import NEAR_STEP_M, Run, RunCounts
 from .sweep_in_rain import Fate
 from .tally import Tally
@@ -19,12 +20,14 @@ from .turns import Turn
 
 _SIZE_INCHES, _DPI = (13.5, 8.2), 140
 _CLEAR, _DROPPED, _MASKED, _FALSE, _EGO = "#3c6e9f", "#e08a1e", "#7d3fa0", "#d3202a", "#222222"
-_SHADES = ("#9db8d2", "#5f93c4", "#2b6cb0", "#123f75", "#0b2647", "#000000")
 _VIEWED_SHARE = 0.985
 _ASPECT = 0.66
 """Height over width of what is seen from above."""
 _FEWEST = 20
 """Bins with fewer clear returns than this have no share to be drawn."""
+
+_FEW_ENTRIES = 8
+"""Of a legend that lies in its panel; a longer one stands to its right."""
 
 ByIntensity = Mapping[float, Sequence[RunCounts]]
 """All seeds and turns at each intensity in mm/h."""
@@ -104,7 +107,7 @@ def _frame(axes: Axes, turn: Turn, reach_m: float) -> None:
 
 
 def _draw_kept(axes: Axes, rows: _Rows) -> None:
-    for color, (intensity, tallies) in zip(_shades(len(rows)), rows.items(), strict=True):
+    for color, (intensity, tallies) in zip(shades(len(rows)), rows.items(), strict=True):
         edges = np.where(np.isinf(tallies[0].edges_m), 1.5 * tallies[0].edges_m[-2], tallies[0].edges_m)
         enough = sum(each.clear for each in tallies) >= _FEWEST * len(tallies)
         shares = np.stack([np.where(enough, each.kept_share(), np.nan) for each in tallies])
@@ -116,7 +119,7 @@ def _draw_kept(axes: Axes, rows: _Rows) -> None:
 
 
 def _draw_false(axes: Axes, near: _Rows) -> None:
-    for color, (intensity, tallies) in zip(_shades(len(near)), near.items(), strict=True):
+    for color, (intensity, tallies) in zip(shades(len(near)), near.items(), strict=True):
         edges = tallies[0].edges_m
         counts = np.stack([each.false for each in tallies]).astype(np.float64)
         if counts.any():
@@ -134,7 +137,9 @@ def _draw_false(axes: Axes, near: _Rows) -> None:
         axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color="#888888", fontsize=12)
 
 
-def _band(axes: Axes, x: Float64[np.ndarray, " k"], values: Float64[np.ndarray, "s k"], color: str, label: str) -> None:
+def _band(
+    axes: Axes, x: Float64[np.ndarray, " k"], values: Float64[np.ndarray, "s k"], color: Color, label: str
+) -> None:
     """The mean of seeds and turns, in a band from the least to the most of them."""
     known = np.isfinite(values).all(axis=0)
     x, values = x[known], values[:, known]
@@ -146,11 +151,8 @@ def _finish(axes: Axes, x_title: str) -> None:
     axes.set_xlabel(x_title)
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
-    if axes.get_legend_handles_labels()[0]:
+    entries = len(axes.get_legend_handles_labels()[0])
+    if entries > _FEW_ENTRIES:
+        axes.legend(fontsize=6.5, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0), ncols=-(-entries // 20))
+    elif entries:
         axes.legend(fontsize=8, frameon=False)
-
-
-def _shades(count: int) -> list[str]:
-    if count <= len(_SHADES):
-        return [_SHADES[i * len(_SHADES) // count] for i in range(count)]
-    return [_SHADES[min(i * len(_SHADES) // count, len(_SHADES) - 1)] for i in range(count)]

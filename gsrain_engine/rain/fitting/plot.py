@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from gsrain_engine.scene.atomic_files import whole_file
-from gsrain_engine.untrusted.printable import figure_label
+from gsrain_engine.untrusted.figure_words import figure_words
 
 from ..calibration import Interval, atlas_velocity, load_calibration
 from ..drop_sizes import LARGEST_MM, SMALLEST_MM, DropSizes
@@ -65,14 +65,15 @@ def draw_calibration(fitted: FittedCalibration) -> Figure:
         axes.set_title("")
         axes.spines[["top", "right"]].set_visible(False)
         axes.tick_params(labelsize=8)
-    figure.suptitle(figure_label(_headline(fitted)), fontsize=11)
+    figure.suptitle(_headline(fitted), fontsize=11)
     return figure
 
 
 def _headline(fitted: FittedCalibration) -> str:
     provenance = fitted.calibration.provenance
-    instrument = f"{provenance.instrument}, " if provenance else ""
-    return f"{fitted.calibration.name}: {instrument}{fitted.records_used:,} of {fitted.records:,} records in rows"
+    instrument = f"{figure_words(provenance.instrument)}, " if provenance else ""
+    name = figure_words(fitted.calibration.name)
+    return f"{name}: {instrument}{fitted.records_used:,} of {fitted.records:,} records in rows"
 
 
 def _draw_spectra(axes: Axes, fitted: FittedCalibration) -> None:

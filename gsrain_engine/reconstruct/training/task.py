@@ -10,6 +10,7 @@ from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.other_pictures import with_images
 from gsrain_engine.datasets.pixels.moving_masks import read_camera_masks, with_camera_masks
 from gsrain_engine.datasets.readable_pictures import readable_pictures
+from gsrain_engine.scene.file_names import shortened
 
 from .held_out import held_out_indices
 from .settings import TrainingSettings
@@ -41,7 +42,7 @@ class ReconstructionTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     @property
     def checkpoint(self) -> Path:
         """Where the checkpoints of this task are; removed once the scene is written."""
-        return self.output.with_name(f"{self.output.name}.checkpoint.npz")
+        return self.output.with_name(f"{shortened(self.output.name)}.checkpoint.npz")
 
     def read(self) -> Capture:
         """Read the capture; raises `CaptureError`, also where there is nothing to learn from."""

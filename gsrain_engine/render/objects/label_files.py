@@ -55,6 +55,12 @@ def write_object_labels(
     return written
 
 
+def label_outputs(form: LabelFormat, recording: Recording, cameras: Sequence[str]) -> list[Path]:
+    """Every file and folder that the labels of these cameras go to, but for those in folders of frames."""
+    found = [recorded_files(recording, name if len(cameras) > 1 else None) for name in cameras]
+    return [coco_file(each) if form == "coco" else kitti_folder(each) for each in found if not each.is_folder]
+
+
 def coco_file(files: RecordedFiles) -> Path:
     """Where the labels of one camera go: into the folder of its frames, else beside its file."""
     return files.path / "labels.coco.json" if files.is_folder else files.path.with_name(f"{files.path.stem}.coco.json")

@@ -1,7 +1,7 @@
 """The table of single-file formats; a new one is one file with a reader and one row here, or an installed package."""
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ..atomic_files import whole_file
@@ -72,19 +72,25 @@ def write_gaussians(gaussians: Gaussians, path: Path) -> None:
             none can where they are not finite.
         OSError: When the file can't be written.
     """
-    row = format_of(path)
-    if row is None or row.write is None:
-        writable = _listed(writable_suffixes())
-        reason = "can't be written" if row is None else f"{row.suffix} is read but not written"
-        raise SceneFormatError(path, f"{reason}: the name must end in {writable}{_slip(path)}")
+    write = check_written_format(path)
     if path.is_dir():
         raise SceneFormatError(path, "can't be written: a folder of that name is in the way")
     check_writable(path, gaussians)
     with whole_file(path) as beside:
         try:
-            row.write(gaussians, beside)
+            write(gaussians, beside)
         except ValueError as error:
             raise SceneFormatError(path, str(error)) from None
+
+
+def check_written_format(path: Path) -> Callable[[Gaussians, Path], None]:
+    """Return what writes files of such a name. Raises `SceneFormatError` where no format that is written has it."""
+    row = format_of(path)
+    if row is None or row.write is None:
+        writable = _listed(writable_suffixes())
+        reason = "can't be written" if row is None else f"{row.suffix} is read but not written"
+        raise SceneFormatError(path, f"{reason}: the name must end in {writable}{_slip(path)}")
+    return row.write
 
 
 def check_writable(path: Path, gaussians: Gaussians, of: str = "") -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 
+from gsrain_engine.untrusted.explained_errors import explained
 from gsrain_engine.untrusted.limits import read_file
 
 from ..atomic_files import sync, telling_of, whole_file, whole_folder
@@ -261,7 +262,7 @@ def _read_record(folder: Path) -> SceneRecord:
     try:
         return msgspec.json.decode(data, type=SceneRecord)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise SceneFormatError(folder / SCENE_FILE, str(error)) from None
+        raise SceneFormatError(folder / SCENE_FILE, explained(error, SceneRecord)) from None
 
 
 def _checked_version(folder: Path) -> bytes:

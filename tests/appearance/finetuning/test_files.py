@@ -44,7 +44,7 @@ def test_settings_come_back_from_their_file(tmp_path: Path) -> None:
         ("pictures: {clear: [{path: a}], rainy: [{path: b}]}\nsteps: 0", r"`int` >= 1 - at `\$\.steps`"),
         (
             "pictures: {clear: [{path: a}], rainy: [{path: b}]}\nlosses: {gam: 1}",
-            r"`gam`; .* `gan`\? - at `\$\.losses`",
+            r"`gam`; .* `gan`\? valid: .* - at `\$\.losses`",
         ),
         ("steps: 4", r"`clear` - at `\$\.pictures`"),
         ("[1, 2]", "YAML mapping"),

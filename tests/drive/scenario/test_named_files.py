@@ -87,7 +87,10 @@ def test_saved_elsewhere_it_names_the_same_files(beside: Path, tmp_path: Path, m
          r"'brak', expected constant-velocity, stationary, idm, cut-in, brake, track, replay - at "
          r"`\$\.road_users\[0\]\.behaviour\.kind`"),
         ("controller: {kind: ilq}", r"'ilq', expected ilqr, pure-pursuit - at `\$\.controller\.kind`"),
-        ("rain: {intensity: 3}", r"unknown field `intensity`; did you mean `intensity_mm_h`\? - at `\$\.rain`"),
+        ("rain: {intensity: 3}", r"unknown field `intensity`; did you mean `intensity_mm_h`\? "
+         r"valid: intensity_mm_h, .*wetness.* - at `\$\.rain`"),
+        ("road_users: [{id: a, behaviour: {kind: brake, sped: 3}}]",
+         r"unknown field `sped`; valid: kind, .*deceleration_m_s2, to_speed_m_s - at `\$\.road_users\[0\]\.behaviour`"),
         ("speed_m_s: .nan", r"Expected a finite number, got nan - at `\$\.speed_m_s`"),
         ("speed_m_s: 3\nspeed_m_s: 4", "'speed_m_s' is there twice, line 3"),
     ],

@@ -134,6 +134,9 @@ def test_a_clear_clip_is_made_once_whatever_the_seeds():
 
 
 def test_a_clip_stays_in_its_own_folder():
+    for name in ("", ".", "./", "n" * 256 + ".mp4", "clip\0.mp4", "clip.gif"):
+        with pytest.raises(ValueError, match=r"^recording\.output"):
+            jobs_of(msgspec.convert({"kind": "render", "recording": {"output": name}}, RenderSweep))
     told = {"kind": "render", "recording": {"output": "../clip.mp4"}}
     with pytest.raises(ValueError, match="a name in the clip's own folder"):
         jobs_of(msgspec.convert(told, RenderSweep))

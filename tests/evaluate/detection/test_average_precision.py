@@ -39,6 +39,18 @@ def test_classes_count_alike_and_others_not_at_all():
     assert {name: each.map50 for name, each in result.by_class.items()} == {"car": pytest.approx(1), "bus": 0}
 
 
+def test_vehicles_are_found_by_any_of_their_kinds_and_each_detection_counts_once():
+    truths = [[_at(0, name="vehicle"), _at(100, name="vehicle"), _at(200)]]
+    seen = [[_at(0, name="truck"), _at(100), _at(200)]]
+    result = average_precision(truths, seen)
+    assert {name: each.map50 for name, each in result.by_class.items()} == {
+        "car": pytest.approx(1), "vehicle": pytest.approx(1),
+    }  # fmt: skip
+    astray = [[*seen[0], _at(400, confidence=2.0)]]  # a car where nothing is: wrong among the cars alone
+    result = average_precision(truths, astray)
+    assert result.by_class["vehicle"].map50 == pytest.approx(1) and result.by_class["car"].map50 == pytest.approx(0.5)
+
+
 def test_ignored_objects_need_not_be_found_and_are_no_mistakes():
     truths, seen = [[_at(0)], []], [[_at(0, confidence=0.5)], [_at(100, confidence=0.9)]]
     assert average_precision(truths, seen).map50 == pytest.approx(0.5)

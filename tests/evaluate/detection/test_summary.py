@@ -7,10 +7,12 @@ from gsrain_engine.evaluate.detection.curves import object_figure, pixels, preci
 from gsrain_engine.evaluate.detection.detector import Detection
 from gsrain_engine.evaluate.detection.frames import JudgedFrame
 from gsrain_engine.evaluate.detection.pictures import Trial
+from gsrain_engine.evaluate.detection.sheet import detection_sheet
 from gsrain_engine.evaluate.detection.summary import Change, distance_scores, plain, robustness_of, scores
-from gsrain_engine.evaluate.detection.sweep import judged, rows_of
+from gsrain_engine.evaluate.detection.sweep import JudgedPicture, Row, judged, rows_of
 from gsrain_engine.evaluate.detection.table import write_csv, write_parquet
 from gsrain_engine.evaluate.detection.truth import LabelledObject
+from gsrain_engine.evaluate.series_styles import series_styles
 from gsrain_engine.render.scene_view import Shot
 from gsrain_engine.scene.camera import Camera
 
@@ -119,6 +121,10 @@ def test_a_reconstruction_is_compared_with_its_pictures():
     assert sorted(line.get_ydata()[0] for line in marks) == pytest.approx([0.8, 0.9])
 
 
+def test_styles_of_curves_differ():
+    assert len({style[:3] for style in series_styles(300)}) == 300
+
+
 def test_figures_show_means_and_bands_by_object(rows, judgements):
     assert list(shown_objects(rows)) == ["near", "far"]
     figure = object_figure(rows, "confidence")
@@ -132,3 +138,37 @@ def test_figures_show_means_and_bands_by_object(rows, judgements):
     assert (at_last.min(), at_last.max()) == pytest.approx((0.0, 0.4))
     np.testing.assert_array_equal(pixels(object_figure(rows, "iou")), pixels(object_figure(rows, "iou")))
     assert len(precision_figure(scores(rows, judgements)).axes) == 2
+
+
+def row_of(detector, rain, seed, number):
+    return Row(
+        detector=detector, picture="rainy" if rain else "clear", intensity_mm_h=rain, seed=seed, frame="f",
+        object=f"o{number}", class_name=f"class {number}", confidence=0.9 - 0.01 * number, iou=0.8,
+        confidence_any_class=0.9, iou_any_class=0.8, class_seen=None, visibility=1.0, distance_m=10.0 + number,
+        height_px=50.0,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("classes", "detectors"), [(1, 6), (3, 1), (30, 2)])
+def test_figures_take_any_number_of_classes_and_detectors(classes, detectors):
+    names = [f"d{number}" for number in range(detectors)]
+    rows = [row_of(name, rain, 0, number) for name in names for rain in (0.0, 8.5) for number in range(classes)]
+    figure = object_figure(rows, "confidence")
+    assert pixels(figure).shape[1] < 4000
+    panels = [panel for panel in figure.axes if panel.axison]
+    assert len(panels) == detectors * (1 if classes == 1 else 2)
+    assert len(panels[-1].get_lines()) == classes + 1  # and the mean of all
+    looks = [(line.get_color(), line.get_linestyle(), line.get_marker()) for line in panels[-1].get_lines()]
+    patterns = [line._dash_pattern for line in panels[-1].get_lines()]
+    assert len({(*look, str(dashes)) for look, dashes in zip(looks, patterns, strict=True)}) == classes + 1
+    entries = [text.get_text() for part in figure.subfigs for legend in part.legends for text in legend.get_texts()]
+    assert {f"class {number}, mean of 1 object" for number in range(classes if classes > 1 else 0)} <= set(entries)
+
+
+def test_a_sheet_of_many_weathers_goes_on_below():
+    image = np.full((60, 300, 3), 90, np.uint8)
+    trials = [Trial("rainy", float(rain), (0,)) for rain in range(1, 31)]
+    pictures = [JudgedPicture(FRAME, each, {"d": judged("d", FRAME, each, [])}, lambda: image) for each in trials]
+    sheet = detection_sheet(pictures)
+    assert sheet.shape[1] <= 1920
+    assert (sheet == 90).all(axis=2).sum() > 30 * 240 * 40  # all of them are there

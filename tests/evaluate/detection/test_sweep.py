@@ -8,9 +8,11 @@ import pytest
 from boxy_scene import boxy_scene
 from gsrain_engine.appearance.views.placed_camera import PlacedCamera
 from gsrain_engine.datasets.capture import Capture, TrackedBox, View
+from gsrain_engine.evaluate.detection.class_names import label_class, names_class
 from gsrain_engine.evaluate.detection.detector import Detection
 from gsrain_engine.evaluate.detection.frames import JudgedFrame, recorded_frames, scene_frames, shot_in
 from gsrain_engine.evaluate.detection.pictures import Pictures, Trial, trials_of
+from gsrain_engine.evaluate.detection.summary import scores
 from gsrain_engine.evaluate.detection.sweep import judged, judged_pictures, rows_of
 from gsrain_engine.evaluate.detection.truth import LabelledObject
 from gsrain_engine.rain.rain import Rain
@@ -35,6 +37,7 @@ class Believer:
 
     truths: tuple[LabelledObject, ...]
     name: str = "believer"
+    classes: tuple[str, ...] = ()
 
     def detect(self, image):
         confidence = 1 - float(image.mean()) / 255
@@ -147,3 +150,48 @@ def test_misses_and_flips_are_rows_too():
     assert (flipped.confidence_any_class, flipped.iou_any_class) == (0.7, 1.0)
     (missed,) = rows_of(judged("d", frame, Trial("clear", 0.0, (0,)), []))
     assert (missed.confidence, missed.class_seen) == (0.0, None)
+
+
+SIGN, CAR, WAYMO = (
+    LabelledObject("s", "sign", (0.0, 0.0, 20.0, 40.0)),
+    LabelledObject("c", "car", (100.0, 0.0, 140.0, 40.0)),
+    LabelledObject("v", "vehicle", (200.0, 0.0, 240.0, 40.0)),
+)
+
+
+@pytest.mark.parametrize(
+    ("detected", "labelled", "right"),
+    [
+        ("car", "car", True), ("Car", "car", True), ("Pedestrian", "person", True), ("bus", "truck", False),
+        ("car", "vehicle", True), ("truck", "vehicle", True), ("bus", "vehicle", True), ("Van", "vehicle", True),
+        ("trailer", "vehicle", True), ("vehicle", "vehicle", True), ("vehicle", "truck", True),
+        ("person", "vehicle", False), ("bicycle", "vehicle", False), ("vehicle", "person", False),
+        ("TYPE_VEHICLE", "bus", True), ("sign", "stop sign", False),
+    ],
+)  # fmt: skip
+def test_words_of_a_detector_name_classes_of_labels(detected, labelled, right):
+    assert names_class(detected, labelled) == right
+
+
+def test_labels_of_data_sets_fall_into_classes():
+    names = ["TYPE_VEHICLE", "vehicle", "vehicle.car", "vehicle.bus.rigid", "Van", "human.pedestrian.adult", "Cyclist"]
+    assert [label_class(each) for each in names] == ["vehicle", "vehicle", "car", "bus", "car", "person", "cyclist"]
+
+
+def test_what_a_detector_has_no_word_for_is_listed_apart():
+    frame = JudgedFrame("f", Shot(Camera(300, 100, 50.0, 50.0, 150.0, 50.0)), (SIGN, CAR, WAYMO))
+    seen = [
+        Detection("truck", 0.9, WAYMO.box_xyxy), Detection("car", 0.8, CAR.box_xyxy),
+        Detection("person", 0.7, SIGN.box_xyxy),
+    ]  # fmt: skip
+    trial = Trial("clear", 0.0, (0,))
+    found = judged("d", frame, trial, seen, ("person", "car", "truck"))
+    assert found.truths == (CAR, WAYMO) and found.not_named == (SIGN,)
+    assert [each.confidence for each in found.matches] == [0.8, 0.9]
+    assert [each.flipped_to for each in found.matches] == [None, None]
+    assert [each.class_name for each in found.detections] == ["truck", "car"]  # nobody is wrong about the sign
+    assert {row.class_name for row in rows_of(found)} == {"car", "vehicle"}
+    (score,) = scores(list(rows_of(found)), [found])
+    assert (score.recall.mean, score.flips.mean, score.map50.mean) == (1.0, 0.0, pytest.approx(1.0))
+    everything = judged("d", frame, trial, seen)
+    assert everything.not_named == () and len(everything.truths) == 3

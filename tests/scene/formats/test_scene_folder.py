@@ -259,7 +259,10 @@ BAD_VALUES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "no version": (lambda v: v.pop("version"), "required field `version`"),
     "wrong type": (lambda v: v.update(metres_per_unit="3"), "Expected `float`, got `str` - at `$.metres_per_unit`"),
     "out of range": (lambda v: v.update(metres_per_unit=0), "Expected `float` > 0.0 - at `$.metres_per_unit`"),
-    "in a layer": (lambda v: v["layers"][1].update(kind="ocean"), "Invalid enum value 'ocean' - at `$.layers[1].kind`"),
+    "in a layer": (
+        lambda v: v["layers"][1].update(kind="ocean"),
+        "Invalid enum value 'ocean', expected background, sky - at `$.layers[1].kind`",
+    ),
     "in a track": (lambda v: v["actors"][0]["track"]["times"].pop(), "equally long - at `$.actors[0].track`"),
     "falling times": (lambda v: v["ego"].update(times=[2, 1, 0]), "times must rise - at `$.ego`"),
     "time that stands still": (lambda v: v["ego"].update(times=[0, 1, 1]), "times must rise - at `$.ego`"),

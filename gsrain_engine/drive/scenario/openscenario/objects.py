@@ -6,6 +6,8 @@ from xml.etree.ElementTree import Element
 
 import msgspec
 
+from gsrain_engine.untrusted.explained_errors import converted
+
 from ...vehicle.vehicle import Vehicle
 from .names import PROPERTY
 from .xml_file import number, properties
@@ -69,6 +71,6 @@ def ego_vehicle(path: Path, entity: Element) -> Vehicle:
         plain["most_braking_m_s2"] = min(number(path, performance, "maxDeceleration"), 20.0)
         plain["top_speed_m_s"] = min(number(path, performance, "maxSpeed"), 100.0)
     try:
-        return msgspec.convert(plain, Vehicle)
+        return converted(plain, Vehicle)
     except msgspec.ValidationError as error:
         raise ValueError(f"{path}: the ego vehicle: {error}") from None

@@ -7,6 +7,8 @@ from xml.etree.ElementTree import Element
 import msgspec
 import numpy as np
 
+from gsrain_engine.untrusted.explained_errors import converted
+
 from ...vehicle.vehicle import Vehicle
 from ..scenario import Scenario
 from .events import Actor, behaviour
@@ -60,7 +62,7 @@ def read_openscenario(path: Path) -> Scenario:
         **{name: own[PROPERTY + name] for name in OWN_FIELDS if PROPERTY + name in own},
     }
     try:
-        return msgspec.convert(plain, Scenario, strict=False)
+        return converted(plain, Scenario, strict=False)
     except msgspec.ValidationError as error:
         raise ValueError(f"{path}: {error}") from None
 

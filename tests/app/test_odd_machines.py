@@ -1,0 +1,106 @@
+"""Machines that lack something: a working directory, libraries of X, a locale, a reader of what is printed."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from app.command_line import BAD_INPUT, NOBODY_READS, run
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="other systems take other names")
+
+
+def python(program, *arguments, **environment):
+    """Run a program in another process; returns its exit code and what it printed."""
+    done = subprocess.run(
+        [sys.executable, "-c", program, *map(os.fspath, arguments)], capture_output=True, check=False,
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | environment,
+    )  # fmt: skip
+    return done.returncode, done.stdout, done.stderr.decode(errors="replace")
+
+
+def test_a_working_directory_that_is_gone_is_told(tmp_path, monkeypatch, capsys):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    for line in (["info", "street"], ["street", "out"], ["render", "street", "-o", "a.png"], []):
+        assert run(line) == BAD_INPUT
+        assert capsys.readouterr().err == "gsrain: the working directory was removed; cd to one that is there\n"
+    assert run(["--help"]) == 0
+    monkeypatch.chdir(tmp_path)
+
+
+def test_the_street_is_photographed_without_libraries_of_x(tmp_path):
+    (tmp_path / "pyglet").mkdir()
+    (tmp_path / "pyglet" / "__init__.py").write_text("raise ImportError('XRenderFindVisualFormat')\n")
+    program = """
+import sys
+import numpy as np
+from gsrain_engine.datasets.street.mesh_rasterizer import MeshRasterizer
+stage = MeshRasterizer()
+stage.add(np.zeros((1, 4, 3), np.float32), np.ones((1, 4, 4)), np.eye(4))
+assert "pyglet" not in sys.modules
+"""
+    code, _, said = python(program, PYTHONPATH=f"{tmp_path}{os.pathsep}{REPOSITORY}")
+    assert code == 0, said
+
+
+def test_a_library_that_can_t_be_loaded_is_one_sentence(monkeypatch, capsys):
+    missing = "libGL.so.1: cannot open shared object file"
+    monkeypatch.setattr("app.commands.info.open_scene", lambda name: (_ for _ in ()).throw(ImportError(missing)))
+    assert run(["info", "street"]) == BAD_INPUT
+    said = capsys.readouterr().err
+    assert said == f"gsrain: a library can't be loaded: {missing}; gsrain doctor says what is missing\n"
+
+
+def test_files_of_any_name_are_written_where_the_locale_has_no_letters_for_them(tmp_path):
+    program = """
+import os, sys
+from pathlib import Path
+from app.command_line import run
+from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.scene.file_names import name_problem, shortened
+assert sys.getfilesystemencoding() == "ascii", sys.getfilesystemencoding()
+path = Path(sys.argv[1])
+with whole_file(path) as beside:
+    beside.write_text("whole")
+assert name_problem(path) is None
+assert "lacks" in name_problem(Path("\\u96e8"))
+Path(shortened("\\u96e8" * 200)).name.encode()
+raise SystemExit(run(["info", str(path)]))
+"""
+    locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    code, _, said = python(program, tmp_path / "Straße é.ply", **locale)
+    assert (tmp_path / "Straße é.ply").read_text() == "whole"
+    assert code == BAD_INPUT and said.startswith("gsrain: ") and "UnicodeEncodeError" not in said
+    assert list(tmp_path.iterdir()) == [tmp_path / "Straße é.ply"]
+
+
+def test_names_that_the_terminal_has_no_letters_for_are_printed_as_escapes(tmp_path):
+    program = "import sys; from app.command_line import run; raise SystemExit(run(sys.argv[1:]))"
+    code, _, said = python(program, "info", tmp_path / "雨", PYTHONIOENCODING="ascii:strict")
+    assert code == BAD_INPUT and r"\u96e8" in said and len(said.splitlines()) == 1
+
+
+def test_output_that_nobody_reads_ends_without_a_word():
+    program = """
+import sys
+from app.command_line import run
+import app.commands.info as info
+def talk(name):
+    for _ in range(100_000):
+        print("street")
+info.open_scene = talk
+raise SystemExit(run(["info", "street"]))
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=REPOSITORY
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert process.stdout.readline() == b"street\n"
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait(60) == NOBODY_READS
