@@ -13,6 +13,7 @@ from gsrain_engine.scene.bounds import bounds
 from gsrain_engine.scene.members import Actor, Layer
 from gsrain_engine.scene.open_scene import open_scene
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.session.view.home_camera import scene_core
 
 from .arguments import JsonFile, write_numbers
 from .capture_info import capture_info
@@ -49,6 +50,7 @@ def info(
         "up": list(opened.up),
         "rigs": {name: [camera.name for camera in cameras] for name, cameras in opened.rigs.items()},
         "members": rows,
+        **_extent(opened),
     }
     _print(opened, numbers)
     write_numbers(json, numbers)
@@ -70,6 +72,19 @@ def _member(member: Layer | Actor) -> dict[str, Any]:
     }
 
 
+def _extent(scene: Scene) -> dict[str, Any]:
+    """Numbers of the dense core and of the shell around it, in the world (metres, z up)."""
+    core = scene_core(scene)
+    low, high = ([round(float(v), 3) for v in corner] for corner in (core.low, core.high))
+    numbers: dict[str, Any] = {"core_m": {"minimum": low, "maximum": high}, "shell": None}
+    if core.shell is not None:
+        count = sum(int(np.count_nonzero(core.shell.holds(part))) for part in scene.parts())
+        share = count / max(scene.gaussian_count, 1)
+        radius_m = round(core.shell.radius_m, 3)
+        numbers["shell"] = {"gaussians": count, "share": round(share, 4), "radius_m": radius_m}
+    return numbers
+
+
 def _print(scene: Scene, numbers: dict[str, Any]) -> None:
     console = Console()
     up = ", ".join(f"{v:g}" for v in scene.up)
@@ -77,6 +92,15 @@ def _print(scene: Scene, numbers: dict[str, Any]) -> None:
     size = f"{numbers['memory_bytes'] / 2**20:.1f} MiB"
     console.print(f"{scene.name}: {numbers['gaussians']:,} Gaussians{marks}, {size}")
     console.print(f"1 unit = {scene.metres_per_unit:g} m, up = ({up})")
+    low, high = numbers["core_m"]["minimum"], numbers["core_m"]["maximum"]
+    sides = ", ".join(f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
+    console.print(f"most of it lies at {sides} m")
+    shell = numbers["shell"]
+    if shell is not None:
+        console.print(
+            f"far shell, such as a sky: {shell['gaussians']:,} Gaussians ({100 * shell['share']:.2g} %), "
+            f"{shell['radius_m']:.4g} m from the middle"
+        )
     for name, cameras in numbers["rigs"].items():
         console.print(f"rig {name}: {', '.join(cameras)}")
     table = Table("name", "kind", "Gaussians", "SH degree", "wet", "minimum", "maximum", "MiB", box=None)
