@@ -13,18 +13,16 @@ from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Layer
 from gsrain_engine.scene.paths.camera_path import CameraPath
-from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.session.appearance.transfer_preview import TransferPreview
 from gsrain_engine.session.appearance.transfer_training import TransferTraining
-from gsrain_engine.session.document.staged_scene import StagedScene
 from gsrain_engine.session.drive.drive_job import DriveJob
 from gsrain_engine.session.drive.film_job import DriveFilmJob
 from gsrain_engine.session.jobs.background_job import BackgroundJob
 from gsrain_engine.session.jobs.floater_job import FloaterJob
 from gsrain_engine.session.jobs.scene_job import SceneJob
 from gsrain_engine.session.recording.recording_job import RecordingJob
-from session.files.open_document import answer, delete_every_third, keep_now, names_in, settle
+from session.files.open_document import HeldJob, answer, delete_every_third, keep_now, names_in, settle
 from small_scene import small_scene
 
 
@@ -341,26 +339,6 @@ def test_a_newer_scene_is_refused_and_nothing_is_lost(session, home, tmp_path):
     answer(session, "Overwrite")
     assert "newer program" in session.problem  # not even then
     assert session.has_changes
-
-
-class HeldJob:
-    """A job that goes on until the test ends it."""
-
-    def __init__(self, title="Make it rainy", ends_with_scene=True):
-        self.title, self.ends_with_scene, self.state = title, ends_with_scene, "running"
-        self.progress, self.error, self.details = Progress(0.4, "at it"), None, None
-        self.result = None
-        self.fails = False
-
-    def poll(self, session):
-        if self.fails:
-            self.state, self.error = "failed", "the third wheel is missing"
-        elif self.result is not None:
-            session.stage(StagedScene(self.title, self.result))
-            self.state = "finished"
-
-    def cancel(self):
-        self.state = "cancelled"
 
 
 def at_work(session, *jobs):
