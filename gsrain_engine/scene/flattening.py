@@ -61,19 +61,19 @@ def left_out_when_flat(scene: Scene, time_s: float = 0.0) -> list[str]:
     cameras = sum(len(rig) for rig in scene.rigs.values())
     path_keys = len(scene.path.times_s) if scene.path is not None else 0
     found = {
-        f"the names of {len(layers)} layers, which become one": len(layers) > 1,
+        f"the division into {len(layers)} layers": len(layers) > 1,
         "which layer is the sky": any(each.kind == "sky" for each in layers),
-        f"the tracks of {_counted(len(there), 'actor')}, which stand where they are at {time_s:g} s": bool(there),
-        f"{_counted(len(gone), 'actor')} not there at {time_s:g} s": bool(gone),
-        f"{_counted(hidden_members, 'hidden layer or actor', 'hidden layers and actors')}": hidden_members > 0,
-        f"{_counted(hidden, 'hidden Gaussian')}": hidden > 0,
+        _counted(len(there), "moving actor, who stands still", "moving actors, who stand still"): bool(there),
+        _counted(len(gone), f"actor who is not there at {time_s:g} s", f"actors not there at {time_s:g} s"): bool(gone),
+        _counted(hidden_members, "hidden layer or actor", "hidden layers and actors"): hidden_members > 0,
+        _counted(hidden, "hidden Gaussian"): hidden > 0,
         "wet colors": scene.has_wet_colors,
-        f"{_counted(path_keys, 'camera key')}": path_keys > 0,
+        _counted(path_keys, "camera key"): path_keys > 0,
         "the rain": scene.rain is not None,
         f"{_counted(keys, 'key')} of the rain over time": keys > 0,
-        f"{_counted(cameras, 'camera')} of the rig and its drive": cameras > 0,
-        "the recorded drive": not cameras and scene.ego is not None,
-        f"{_counted(len(scene.selections), 'selection set')}": bool(scene.selections),
+        _counted(cameras, "rig camera"): cameras > 0,
+        "the drive of the ego vehicle": scene.ego is not None,
+        _counted(len(scene.selections), "selection set"): bool(scene.selections),
     }
     return [phrase for phrase, is_there in found.items() if is_there]
 

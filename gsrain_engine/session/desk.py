@@ -52,6 +52,11 @@ class Desk(ViewedDocument):
         """Jobs that have not ended."""
         return [job for job in self.jobs if job.state == "running"]
 
+    @property
+    def loose_results(self) -> list[str]:
+        """Names of results that are in no file and no document, and go with this one."""
+        return []
+
     def start(self, job: BackgroundJob) -> None:
         """Look after a job from now on."""
         self.jobs.append(job)

@@ -198,6 +198,11 @@ class Session(Desk):
     # What is shown
 
     @property
+    def loose_results(self) -> list[str]:
+        """Roll-outs of this session's drives that were not saved."""
+        return [each.title for each in self.drives.opened if each.path is None]
+
+    @property
     def shown_scene(self) -> Scene:
         """What the viewport shows: what a tool drags, with the road users of a roll-out that plays."""
         return self.drives.scene_in_place_of(super().shown_scene)

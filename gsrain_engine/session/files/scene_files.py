@@ -152,7 +152,11 @@ class SceneFiles:
 
         Of jobs, those count that end with it: all where it ends the program.
         """
-        self._session.when_idle(self._ended_work(ends_program), what, lambda: self._when_saved(what, act))
+        self._session.when_idle(
+            self._ended_work(ends_program),
+            what,
+            lambda: self._when_saved(what, lambda: self._without_results(what, act)),
+        )
 
     def _ended_work(self, ends_program: bool = False) -> list[Work]:
         jobs = [each for each in self._session.jobs if ends_program or each.ends_with_scene]
@@ -174,6 +178,22 @@ class SceneFiles:
         self._session.questions.ask(
             Question("Unsaved changes", f"Save the changes of {name} before you {what}?", answers)
         )
+
+    def _without_results(self, what: str, act: Callable[[], None]) -> None:
+        """Do it, once a person agrees to lose the roll-outs that were not saved."""
+        results = self._session.loose_results
+        if not results:
+            act()
+            return
+        one = len(results) == 1
+        listed = "".join(f"\n  -  {each}" for each in results)
+        text = (
+            f"{'This roll-out was' if one else 'These roll-outs were'} not saved, and {'is' if one else 'are'} lost "
+            f"if you {what}:\n{listed}\n\nTo save one, choose Save as... in the Drive panel."
+        )
+        lose = Answer(f"Lose {'it' if one else 'them'}", act, f"Lose the roll-outs and {what}.")
+        question = Question("Roll-outs that were not saved", text, (lose, _CANCEL), enter_answers=False)
+        self._session.questions.ask(question)
 
     def enter(self, opened: Opened, document: Document) -> None:
         """Take note that the session went to a document that was opened."""
