@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float32, Float64, Int32
 
-from gsrain_engine.scene.bounds import core_bounds, robust_bounds
+from gsrain_engine.scene.bounds import robust_bounds
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Layer, Part
@@ -120,13 +120,9 @@ def find_roofs(parts: Sequence[Part]) -> Roofs | None:
 
     From above, the optical depth of the Gaussians is added up in each cell. Where it reaches ln 2 is the highest
     surface, and from below the lowest. The highest is a roof if it is `CLEARANCE_M` above the lowest, and belongs to a
-    patch: seven of nine cells around it or around a neighbour. So a wall, a lamp post or a lone floater is none, and
-    neither is a sky dome among the Gaussians.
+    patch: seven of nine cells around it or around a neighbour. So a wall, a lamp post or a lone floater is none.
     """
     parts = [part._replace(gaussians=part.remaining, left_out=None) for part in parts]
-    shell = core_bounds(parts).shell
-    if shell is not None:
-        parts = [part._replace(gaussians=part.gaussians.take(np.flatnonzero(~shell.holds(part)))) for part in parts]
     parts = [part for part in parts if len(part.gaussians)]
     if not parts:
         return None

@@ -149,7 +149,9 @@ def test_info_reports_what_is_in_a_scene(room, tmp_path, capsys):
     report = json.loads(numbers.read_text())
     assert report["gaussians"] == 900
     assert report["members"][0]["minimum"] == [-4, -3, 6]
-    assert report["shell"] is None and np.ptp([report["core_m"][end] for end in ("minimum", "maximum")], axis=0).min() > 0
+    assert (
+        report["shell"] is None and np.ptp([report["core_m"][end] for end in ("minimum", "maximum")], axis=0).min() > 0
+    )
     assert "900" in capsys.readouterr().out
 
 

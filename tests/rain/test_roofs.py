@@ -92,18 +92,6 @@ def test_strays_far_away_change_nothing():
     assert find_roofs(parts(Gaussians.concatenate(far))) is None
 
 
-def test_a_sky_dome_among_the_gaussians_is_no_roof():
-    ways = np.random.default_rng(2).normal(size=(600, 3))
-    ways[:, 2] = np.abs(ways[:, 2])
-    places = (250 * ways / np.linalg.norm(ways, axis=1, keepdims=True)).astype(np.float32)
-    n, f = len(places), np.float32
-    dome = Gaussians(places, np.full((n, 3), 25, f), ROAD.quaternions[:n], np.full(n, 0.9, f), ROAD.sh[:n])
-    assert find_roofs(parts(Gaussians.concatenate([ROAD, dome]))) is None
-    roofs = find_roofs(parts(Gaussians.concatenate([ROAD, BRIDGE, dome])))
-    places = np.array([[13.0, 1.0, 2.0], [5.0, 1.0, 2.0], [13.0, 1.0, 6.0]])
-    assert roofs.shelter(places).tolist() == [True, False, False]
-
-
 def test_a_roof_of_few_large_gaussians_is_one_too_and_holes_in_it_are_closed():
     coarse = sheet((10, -10, 5), (16, 10, 5), spacing=1.5)
     torn = BRIDGE.take(np.flatnonzero(~((abs(BRIDGE.means[:, 0] - 13) < 0.3) & (abs(BRIDGE.means[:, 1]) < 0.3))))
