@@ -13,6 +13,7 @@ from gsrain_engine.scene.formats.scene_files import INNER_SCENE
 from gsrain_engine.scene.members import Actor, Layer
 from gsrain_engine.scene.open_scene import open_scene, scene_folder_of
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.session.view.home_camera import scene_core
 
 from ..console import Table, wide_console
 from .arguments import AllowOutside, JsonFile, let_names_lead_outside, write_numbers
@@ -78,6 +79,7 @@ def _scene_info(scene: str) -> dict[str, Any]:
         "up": list(opened.up),
         "rigs": {name: [camera.name for camera in cameras] for name, cameras in opened.rigs.items()},
         "members": rows,
+        **_extent(opened),
     }
     _print(opened, numbers)
     return numbers
@@ -99,6 +101,19 @@ def _member(member: Layer | Actor) -> dict[str, Any]:
     }
 
 
+def _extent(scene: Scene) -> dict[str, Any]:
+    """Numbers of the dense core and of the shell around it, in the world (metres, z up)."""
+    core = scene_core(scene)
+    low, high = ([round(float(v), 3) for v in corner] for corner in (core.low, core.high))
+    numbers: dict[str, Any] = {"core_m": {"minimum": low, "maximum": high}, "shell": None}
+    if core.shell is not None:
+        count = sum(int(np.count_nonzero(core.shell.holds(part))) for part in scene.parts())
+        share = count / max(scene.gaussian_count, 1)
+        radius_m = round(core.shell.radius_m, 3)
+        numbers["shell"] = {"gaussians": count, "share": round(share, 4), "radius_m": radius_m}
+    return numbers
+
+
 def _print(scene: Scene, numbers: dict[str, Any]) -> None:
     console = wide_console()
     up = ", ".join(f"{v + 0.0:g}" for v in scene.up)  # no -0
@@ -107,6 +122,15 @@ def _print(scene: Scene, numbers: dict[str, Any]) -> None:
     console.print(f"{scene.name}: {numbers['gaussians']:,} Gaussians{marks}, {size}")
     assumed = " (assumed)" if scene.unit_is_assumed else ""
     console.print(f"1 unit = {scene.metres_per_unit:g} m{assumed}, up = ({up})")
+    low, high = numbers["core_m"]["minimum"], numbers["core_m"]["maximum"]
+    sides = ", ".join(f"{axis} {a + 0.0:.4g} to {b + 0.0:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
+    console.print(f"most of it lies at {sides} m")
+    shell = numbers["shell"]
+    if shell is not None:
+        console.print(
+            f"far shell, such as a sky: {shell['gaussians']:,} Gaussians ({100 * shell['share']:.2g} %), "
+            f"{shell['radius_m']:.4g} m from the middle"
+        )
     for name, cameras in numbers["rigs"].items():
         console.print(f"rig {name}: {', '.join(cameras)}")
     table = Table(box=None)

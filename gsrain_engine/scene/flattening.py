@@ -49,6 +49,39 @@ def flattened(scene: Scene, time_s: float = 0.0) -> Gaussians:
     return Gaussians.concatenate([moved(baked(part), world_to_file @ part.to_world) for part in scene.parts(time_s)])
 
 
+def left_out_when_flat(scene: Scene, time_s: float = 0.0) -> list[str]:
+    """Name what `flattened` leaves out of a scene, a phrase each; empty where a single file holds all of it."""
+    shown = [each for each in scene.members if each.visible]
+    layers = [each for each in scene.layers if each.visible]
+    there = [each for each in scene.actors if each.visible and each.way(time_s) is not None]
+    gone = [each for each in scene.actors if each.visible and each.way(time_s) is None]
+    hidden_members = len(scene.members) - len(shown)
+    hidden = sum(each.marks.hidden.size for each in shown if each.marks.hidden is not None)
+    keys = len(scene.weather.get("keys", ())) if scene.weather is not None else 0
+    cameras = sum(len(rig) for rig in scene.rigs.values())
+    path_keys = len(scene.path.times_s) if scene.path is not None else 0
+    found = {
+        f"the division into {len(layers)} layers": len(layers) > 1,
+        "which layer is the sky": any(each.kind == "sky" for each in layers),
+        _counted(len(there), "moving actor, who stands still", "moving actors, who stand still"): bool(there),
+        _counted(len(gone), f"actor who is not there at {time_s:g} s", f"actors not there at {time_s:g} s"): bool(gone),
+        _counted(hidden_members, "hidden layer or actor", "hidden layers and actors"): hidden_members > 0,
+        _counted(hidden, "hidden Gaussian"): hidden > 0,
+        "wet colors": scene.has_wet_colors,
+        _counted(path_keys, "camera key"): path_keys > 0,
+        "the rain": scene.rain is not None,
+        f"{_counted(keys, 'key')} of the rain over time": keys > 0,
+        _counted(cameras, "rig camera"): cameras > 0,
+        "the drive of the ego vehicle": scene.ego is not None,
+        _counted(len(scene.selections), "selection set"): bool(scene.selections),
+    }
+    return [phrase for phrase, is_there in found.items() if is_there]
+
+
+def _counted(count: int, one: str, several: str = "") -> str:
+    return f"{count:,} {one if count == 1 else several or one + 's'}"
+
+
 def baked(part: Part) -> Gaussians:
     """Return what remains of a part, with its opacity, wetness and grading in the Gaussians themselves."""
     gaussians = part.remaining

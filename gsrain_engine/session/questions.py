@@ -4,6 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from gsrain_engine.scene.progress import Progress
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -23,6 +25,10 @@ class Question:
     text: str
     answers: tuple[Answer, ...]
     """The first is what Enter means, the last, which changes nothing, what Escape means."""
+    progress: Callable[[], Progress] | None = None
+    """Progress of the work that it is about, asked for in each frame."""
+    enter_answers: bool = True
+    """Whether Enter gives the first answer; not where that would end work."""
 
 
 def nothing() -> None:
@@ -52,6 +58,10 @@ class Questions:
             self.ask(_replace_question(there, write))
         else:
             write()
+
+    def withdraw(self, question: Question) -> None:
+        """Ask no more: what the question is about has settled itself."""
+        self._waiting = tuple(each for each in self._waiting if each is not question)
 
     def answer(self, answer: Answer) -> None:
         """Act on the answer to the present question."""

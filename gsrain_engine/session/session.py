@@ -17,7 +17,6 @@ from gsrain_engine.scene.scene import Scene
 
 from .appearance.rainy_look import RainyLook
 from .appearance.transfer_studio import TransferStudio
-from .appearance.transfer_training import TransferTraining
 from .desk import Desk
 from .document.arrival import bring_in
 from .document.document import Document
@@ -35,7 +34,6 @@ from .rain.rain_lab import RainLab
 from .rain.roof_search import RoofSearch
 from .rain.shower_view import ShowerView
 from .recording.recorder import Recorder
-from .recording.recording_job import RecordingJob
 from .selection.options import SelectionOptions
 from .view.interaction_budget import EXACT, Detail, InteractionBudget
 from .view.side import Side
@@ -93,7 +91,7 @@ class Session(Desk):
         self.files.open(path)
 
     def save(self, path: Path) -> None:
-        """Write the document to a scene folder or a file, in the background."""
+        """Write the document to a scene folder, in the background."""
         self.files.save_to(path)
 
     @property
@@ -120,8 +118,8 @@ class Session(Desk):
         self.rainy.previewed = None
 
     def leave(self) -> None:
-        """End the program; with unsaved changes, a person is asked first."""
-        self.files.when_safe("quit", self._leave)
+        """End the program; with work that goes on or unsaved changes, a person is asked first."""
+        self.files.when_safe("quit", self._leave, ends_program=True)
 
     def _leave(self) -> None:
         self.files.give_up()
@@ -153,7 +151,7 @@ class Session(Desk):
     @property
     def is_bringing_in(self) -> bool:
         """Whether something is on its way into the picture, which each frame goes on with."""
-        beside = self.captures.is_working or self.matching.is_working or self.drives.is_working
+        beside = self.captures.is_working or self.matching.is_working or self.drives.is_working or self.is_awaiting
         return self.busy is not None or self.staged is not None or self.lab.busy is not None or beside
 
     @property
@@ -196,8 +194,15 @@ class Session(Desk):
                 self.problem = f"{job.title} failed: {job.error}"
                 logger.error("%s", self.problem)
         self.rainy.poll(self)
+        if self.staged is None and not self.drives.is_working:  # else a result is still on its way in
+            self._go_on_when_idle()
 
     # What is shown
+
+    @property
+    def loose_results(self) -> list[str]:
+        """Roll-outs of this session's drives that were not saved."""
+        return [each.title for each in self.drives.opened if each.path is None]
 
     @property
     def shown_scene(self) -> Scene:
@@ -271,7 +276,6 @@ class Session(Desk):
         self.questions.ask(Question("Files outside of the capture", text, (yes, Answer("Cancel", nothing))))
 
     def _cancel_jobs(self, *, of_the_scene: bool = False) -> None:
-        """Stop what runs; a recording has a copy of the document that it began with, a training knows no scene."""
         for job in self.running_jobs:
-            if not (of_the_scene and isinstance(job, RecordingJob | TransferTraining)):
+            if job.ends_with_scene or not of_the_scene:
                 job.cancel()

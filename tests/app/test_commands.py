@@ -150,7 +150,26 @@ def test_info_reports_what_is_in_a_scene(room, tmp_path, capsys):
     report = json.loads(numbers.read_text())
     assert report["gaussians"] == 900
     assert report["members"][0]["minimum"] == [-4, -3, 6]
+    assert (
+        report["shell"] is None and np.ptp([report["core_m"][end] for end in ("minimum", "maximum")], axis=0).min() > 0
+    )
     assert "900" in capsys.readouterr().out
+
+
+def test_info_names_a_sky_around_what_is_in_a_file(tmp_path, capsys):
+    rng, f = np.random.default_rng(5), np.float32
+    ways = rng.normal(size=(1300, 3))
+    ways[300:] = rng.uniform(-1, 1, (1000, 3))
+    ways[:300] *= 80 / np.linalg.norm(ways[:300], axis=1, keepdims=True)
+    sizes = np.repeat(np.array([12, 0.05], f), [300, 1000])[:, None].repeat(3, axis=1)
+    turns = np.tile(np.array([1, 0, 0, 0], f), (1300, 1))
+    both = Gaussians(ways.astype(f), sizes, turns, np.full(1300, 0.9, f), np.zeros((1300, 1, 3), f))
+    write_scene(Scene("ball", (Layer("ball", both),)), tmp_path / "ball.ply")
+    assert run(["info", str(tmp_path / "ball.ply"), "--json", str(tmp_path / "info.json")]) == 0
+    report = json.loads((tmp_path / "info.json").read_text())
+    assert report["shell"] == {"gaussians": 300, "share": 0.2308, "radius_m": pytest.approx(80, abs=2)}
+    assert max(map(abs, report["core_m"]["minimum"] + report["core_m"]["maximum"])) < 1.2
+    assert "far shell, such as a sky: 300 Gaussians (23 %)" in " ".join(capsys.readouterr().out.split())
 
 
 def test_libraries_keep_their_news_to_themselves(monkeypatch, capsys):

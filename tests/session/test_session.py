@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.rain.rain import Rain
+from gsrain_engine.scene.bounds import Core
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.session.rain.region_outlines import project_edges, region_outlines
 from gsrain_engine.session.session import Session
@@ -130,7 +131,7 @@ def test_orbit_keeps_its_target_and_its_distance():
 def test_frame_shows_the_whole_box():
     eye = Navigation()
     low, high = np.array([-3.0, 1, 0]), np.array([5.0, 9, 4])
-    eye.frame(low, high)
+    eye.frame(Core(low, high))
     camera = eye.camera(600, 400)
     corners = np.array([[x, y, z] for x in (-3, 5) for y in (1, 9) for z in (0, 4)], float)
     seen = corners @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]

@@ -9,6 +9,7 @@ from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.session.session import Session
+from session.files.open_document import HeldJob
 from small_scene import small_scene
 from ui.shortcuts import chord
 from window_driver import Driver, imgui
@@ -85,6 +86,63 @@ def test_leaving_with_changes_asks_and_nothing_else_goes_on_meanwhile(driver):
     assert driver.session.is_leaving
     asked, not_asked = screens
     assert np.abs(asked - not_asked).mean() > 5
+
+
+def type_name(driver, dialog, name):
+    driver.ctx.item_click(f"//{dialog}/##file_input")
+    driver.ctx.key_chars_replace(name)
+    driver.ctx.item_click(f"//{dialog}/**/Save")
+    driver.frames(3)
+
+
+def test_an_export_leaves_the_star_and_save_as_writes_no_file(driver, tmp_path):
+    def script():
+        workspace, session = driver.window.workspace, driver.session
+        driver.click("//Rain/8.5")
+        key(driver, CTRL, imgui.Key.e)
+        type_name(driver, "Export a file", str(tmp_path / "out.ply"))
+        assert "It leaves out" in session.questions.present.text and not (tmp_path / "out.ply").exists()
+        driver.ctx.item_click("//Export out.ply/Export")
+        driver.until(lambda: (tmp_path / "out.ply").exists() and session.busy is None)
+        assert workspace.title == "GSRAIN: small *" and session.has_changes
+        key(driver, CTRL, SHIFT, imgui.Key.s)
+        type_name(driver, "Save the scene", str(tmp_path / "saved.ply"))
+        driver.ctx.item_click("//Save writes a scene folder/Save as saved")
+        driver.until(lambda: not session.has_changes)
+        assert workspace.title == "GSRAIN: small" and not (tmp_path / "saved.ply").exists()
+        assert read_scene(tmp_path / "saved").rain["intensity_mm_h"] == 8.5
+
+    driver.run(script)
+
+
+def test_the_cross_of_the_window_asks_about_a_job_and_waits_for_it(driver):
+    job = HeldJob()
+    driver.session.start(job)
+
+    def script():
+        session = driver.session
+        driver.window.ask_to_close()
+        driver.frames(3)
+        driver.ctx.item_click("//Work goes on/Cancel")
+        driver.frames(3)
+        assert job.state == "running" and session.questions.present is None
+        driver.window.ask_to_close()
+        driver.frames(3)
+        driver.ctx.item_click("//Work goes on/Wait")
+        driver.frames(3)
+        driver.press(imgui.Key.enter)  # stops nothing
+        assert job.state == "running" and driver.ctx.item_exists("//Waiting/Stop it")
+        road = session.scene.layers[0]
+        job.result = session.scene.with_member(road.key, gaussians=road.gaussians.with_sh(road.gaussians.sh + 1))
+        driver.until(lambda: session.history.undo_label == "Make it rainy" and session.questions.present is not None)
+        driver.frames(3)
+        assert not session.is_leaving
+        driver.ctx.item_click("//Unsaved changes/Don't save")
+        driver.frames(1000)  # the window is gone long before
+
+    with pytest.raises(RuntimeError, match="the app exited before the test finished"):
+        driver.run(script)
+    assert driver.session.is_leaving and job.state == "finished"
 
 
 def test_what_was_kept_is_recovered_and_a_change_on_the_disk_is_asked_about(tmp_path):

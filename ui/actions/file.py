@@ -8,7 +8,7 @@ from gsrain_engine.scene.formats.gaussian_files import scene_suffixes
 from gsrain_engine.session.session import Session
 
 from ..shortcuts import chord
-from ..widgets.file_dialogs import ask_what_to_open, ask_where_to_save, saved_kinds
+from ..widgets.file_dialogs import SCENE_FOLDERS, ask_what_to_open, ask_where_to_save, exported_kinds
 from .action import Action
 
 _KEY = imgui.Key
@@ -37,7 +37,11 @@ def _ask_what_to_import(session: Session) -> None:
 
 
 def _ask_where_to_save(session: Session) -> None:
-    ask_where_to_save("Save the scene", saved_kinds(), lambda chosen: session.files.save_as(chosen[0]))
+    ask_where_to_save("Save the scene", SCENE_FOLDERS, lambda chosen: session.files.save_as(chosen[0]))
+
+
+def _ask_where_to_export(session: Session) -> None:
+    ask_where_to_save("Export a file", exported_kinds(), lambda chosen: session.files.export_to(chosen[0]))
 
 
 def _has_scene(session: Session) -> bool:
@@ -89,7 +93,15 @@ SAVING_ACTIONS = (
         _ask_where_to_save,
         "File",
         chord(_KEY.mod_ctrl, _KEY.mod_shift, _KEY.s),
-        "Save as a scene folder, which keeps everything, or as one file of what can be seen.",
+        "Save to another scene folder, which keeps everything.",
+        _has_scene,
+    ),
+    Action(
+        "Export...",
+        _ask_where_to_export,
+        "File",
+        chord(_KEY.mod_ctrl, _KEY.e),
+        "Write one file of what can be seen (.ply, .splat, .spz), for other programs; the document stays unsaved.",
         _has_scene,
     ),
     Action(

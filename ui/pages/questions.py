@@ -5,7 +5,7 @@ from imgui_bundle import ImVec2, imgui
 from gsrain_engine.session.questions import Answer, Question
 from gsrain_engine.session.session import Session
 
-from ..widgets.file_dialogs import ask_where_to_save, saved_kinds
+from ..widgets.file_dialogs import SCENE_FOLDERS, ask_where_to_save
 
 _WIDTH_EM = 34.0
 
@@ -14,7 +14,7 @@ def draw_questions(session: Session) -> None:
     """Draw the present question until it is answered, and the dialog for a place where one is wanted."""
     wanted, session.files.place_wanted = session.files.place_wanted, None
     if wanted is not None:
-        ask_where_to_save("Save the scene", saved_kinds(), lambda chosen: wanted(chosen[0]))
+        ask_where_to_save("Save the scene", SCENE_FOLDERS, lambda chosen: wanted(chosen[0]))
     question = session.questions.present
     if question is None:
         return
@@ -28,6 +28,10 @@ def draw_questions(session: Session) -> None:
         return
     imgui.spacing()
     imgui.text_wrapped(question.text)
+    if question.progress is not None:
+        progress = question.progress()
+        imgui.spacing()
+        imgui.progress_bar(progress.fraction, ImVec2(-1, 0), f"{progress.message}: {100 * progress.fraction:.0f} %")
     imgui.spacing()
     imgui.spacing()
     given = _given(question)
@@ -56,10 +60,11 @@ def _given(question: Question) -> Answer | None:
             given = answer
         if n == 0:
             imgui.set_item_default_focus()
-        keys = {0: " (Enter)", len(question.answers) - 1: " (Escape)"}.get(n, "")
+        keys = {0: " (Enter)" if question.enter_answers else "", len(question.answers) - 1: " (Escape)"}.get(n, "")
         imgui.set_item_tooltip(f"{answer.help or answer.label}{keys}")
     if imgui.is_key_pressed(imgui.Key.escape):
         return question.answers[-1]
-    if imgui.is_key_pressed(imgui.Key.enter) or imgui.is_key_pressed(imgui.Key.keypad_enter):
+    is_entered = imgui.is_key_pressed(imgui.Key.enter) or imgui.is_key_pressed(imgui.Key.keypad_enter)
+    if is_entered and question.enter_answers:
         return question.answers[0]
     return given

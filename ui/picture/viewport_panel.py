@@ -95,7 +95,7 @@ def _mouse(session: Session, viewport: Viewport, is_taken: bool) -> None:
             navigation.change_speed(io.mouse_wheel)
         else:
             session.stop_riding()
-            navigation.dolly(io.mouse_wheel)
+            session.dolly(io.mouse_wheel)
 
 
 def _keyboard(session: Session) -> None:

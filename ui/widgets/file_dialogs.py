@@ -13,9 +13,13 @@ _waiting: dict[str, Answer] = {}
 """By the dialogs' titles; there is one window."""
 
 
-def saved_kinds() -> str:
-    """What a scene can be saved as; files of installed packages too."""
-    return f"Scene folders{{.*}},Scene files{{{','.join(writable_suffixes())}}}"
+SCENE_FOLDERS = "Scene folders{.*}"
+"""All that a scene can be saved as."""
+
+
+def exported_kinds() -> str:
+    """Kinds of single files that a scene can be exported to, each by itself; those of installed packages too."""
+    return ",".join(f"{suffix.lstrip('.').upper()} files{{{suffix}}}" for suffix in writable_suffixes())
 
 
 def ask_what_to_open(title: str, kinds: str, answer: Answer, *, several: bool = False) -> None:

@@ -16,3 +16,5 @@ class Format(NamedTuple):
     write: Callable[[Gaussians, Path], None] | None
     """Writes to just this path, which is beside the file's place; None where we only read."""
     description: str
+    keeps_harmonics: bool = True
+    """Whether colours may depend on the direction that they are seen from."""

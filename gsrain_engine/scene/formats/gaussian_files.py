@@ -19,7 +19,7 @@ from .spz import read_spz, write_spz
 FORMATS = (
     Format(".compressed.ply", read_ply, None, "SuperSplat's compressed PLY: 16 bytes a Gaussian and its harmonics"),
     Format(".ply", read_ply, write_ply, "3D Gaussian Splatting (Kerbl et al. 2023), lossless, SH degree 0 to 3"),
-    Format(".splat", read_splat, write_splat, "32 bytes a Gaussian, without view-dependent colour"),
+    Format(".splat", read_splat, write_splat, "32 bytes a Gaussian, without view-dependent colour", False),
     Format(".spz", read_spz, write_spz, "Niantic's compressed format, versions 1 to 4; version 3 is written"),
     Format(".ksplat", read_ksplat, None, "GaussianSplats3D's format, SH degree 0 to 2"),
     Format(".sog", read_sog, None, "PlayCanvas' images in a zip file"),

@@ -25,6 +25,8 @@ _DRAWN = 400
 class TransferTraining:
     """One training, a `BackgroundJob`. Stopped anywhere, it leaves its folder's last checkpoint to go on from."""
 
+    ends_with_scene = False
+
     def __init__(self, task: TrainingTask, files: ThreadPoolExecutor) -> None:
         """Start; `files` is where losses are read."""
         self.title = TITLE

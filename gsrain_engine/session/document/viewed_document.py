@@ -1,5 +1,7 @@
 """A document as it is looked at: from where, at which moment, in which rain; and what is on its way into it."""
 
+from collections.abc import Hashable
+
 import numpy as np
 
 from gsrain_engine.rain.presets import load_preset
@@ -8,6 +10,7 @@ from gsrain_engine.rain.rainfall import OVERCAST, Rainfall
 from gsrain_engine.render.frame import Color
 from gsrain_engine.render.scene_view import Shot
 from gsrain_engine.render.sky_color import Sky
+from gsrain_engine.scene.bounds import Core
 from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 
@@ -16,7 +19,7 @@ from ..timeline.rows import content_span
 from ..timeline.timeline import Timeline
 from ..view.chase import Chase
 from ..view.following import Following
-from ..view.home_camera import home_navigation, scene_bounds
+from ..view.home_camera import home_navigation, scene_core
 from ..view.navigation import Navigation
 from ..view.ride import Ride
 from ..view.view_options import ViewOptions
@@ -40,6 +43,7 @@ class ViewedDocument(EditedDocument):
         self.chase = Chase()
         """The camera that goes along with a roll-out."""
         self._ride = Ride()
+        self._core: tuple[Hashable, Core] | None = None
         self.preview: Scene | None = None
         """What a tool wants drawn in place of the scene while something is dragged; to be said again each frame."""
         self._shown_preview: Scene | None = None
@@ -121,8 +125,20 @@ class ViewedDocument(EditedDocument):
         return Shot(camera, t, velocity, camera.fx * focal_scale)
 
     def frame_scene(self) -> None:
-        """Back off until the whole scene can be seen."""
-        self.navigation.frame(*scene_bounds(self.scene))
+        """Back off until the scene can be seen: the core of it, where it is dense."""
+        self.navigation.frame(self.core)
+
+    def dolly(self, steps: float) -> None:
+        """Come nearer to what is looked at (positive) or go away; from outside of the scene, to the scene."""
+        self.navigation.dolly(steps, self.core)
+
+    @property
+    def core(self) -> Core:
+        """Where the scene is dense; found anew where something else can be seen."""
+        matter = self.scene.matter
+        if self._core is None or self._core[0] != matter:
+            self._core = matter, scene_core(self.scene)
+        return self._core[1]
 
     def go_home(self) -> None:
         """Go to where the scene is first looked at from."""

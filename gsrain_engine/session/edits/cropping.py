@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from gsrain_engine.scene.bounds import robust_bounds
+from gsrain_engine.scene.bounds import core_bounds
 from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Actor, Layer
@@ -64,21 +64,13 @@ _THINNEST_M = 0.01
 
 
 def box_around(scene: Scene) -> CropBox:
-    """Box around most of what stands still and can be seen, sky apart; of an empty scene 10 m around the origin."""
+    """Box around the core of what stands still and can be seen, sky apart; of an empty scene 10 m at the origin."""
     layers = [each for each in scene.layers if each.visible and each.kind == "background" and len(each.gaussians)]
     if not layers:
         return CropBox((0.0, 0.0, 0.0), (10.0, 10.0, 10.0))
-    corners: list[Float64[np.ndarray, "8 3"]] = []
-    for layer in layers:
-        low, high = robust_bounds(layer.gaussians)
-        middle, half = (low + high) / 2, np.maximum((high - low) / 2, 1e-9)
-        to_world = scene.scene_to_world @ layer.to_scene
-        unit = CropBox((0.0, 0.0, 0.0), (2.0, 2.0, 2.0)).corners_m
-        corners.append((unit * half + middle) @ to_world[:3, :3].T + to_world[:3, 3])
-    every = np.concatenate(corners)
-    low, high = every.min(axis=0), every.max(axis=0)
-    x, y, z = ((low + high) / 2).tolist()
-    a, b, c = np.maximum(high - low, _THINNEST_M).tolist()
+    core = core_bounds([part for each in layers if (part := scene.part(each)) is not None])
+    x, y, z = core.middle.tolist()
+    a, b, c = np.maximum(core.high - core.low, _THINNEST_M).tolist()
     return CropBox((x, y, z), (a, b, c))
 
 

@@ -10,6 +10,7 @@ import scipy
 from jaxtyping import Bool, Float32, Float64
 from msgspec import Meta
 
+from gsrain_engine.scene.bounds import core_bounds
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
@@ -65,8 +66,13 @@ class FloaterSearch:
     """Floaters of each layer by its key, with the very Gaussians that they are among."""
 
     def run(self) -> Iterator[Progress]:
-        """Search; `found` is complete at the end. A million Gaussians take seconds."""
+        """Search; `found` is complete at the end. A million Gaussians take seconds.
+
+        What belongs to a far shell, such as the sky dome of a scene in a single file, is no floater.
+        """
         layers = [each for each in self.scene.layers if is_editable(each) and each.kind == "background"]
+        parts = [self.scene.part(each) for each in self.scene.layers if each.visible and each.kind == "background"]
+        shell = core_bounds([part for part in parts if part is not None]).shell
         total = sum(len(each.gaussians) for each in layers) or 1
         done = 0
         for layer in layers:
@@ -87,6 +93,8 @@ class FloaterSearch:
                     )
                     if isolated is not None:
                         flags[there] |= isolated
+            if shell is not None:
+                flags &= ~shell.holds(part)
             done += len(part.gaussians)
             self.found[layer.key] = part.gaussians, Mask.of(flags)
 

@@ -3,20 +3,28 @@
 import logging
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from gsrain_engine.rain.presets import load_preset
+from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.scene.flattening import left_out_when_flat
 from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.formats.gaussian_files import format_of, writable_suffixes
 from gsrain_engine.scene.formats.known_files import KnownFiles
 from gsrain_engine.scene.formats.scene_files import names_scene_folder
+from gsrain_engine.scene.formats.scene_folder import SCENE_FILE
 from gsrain_engine.scene.open_scene import is_built_in, scene_folder_of
+from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
 from ..desk import Desk
 from ..document.document import Document
 from ..document.staged_scene import StagedScene
 from ..edits.importing import import_scene
+from ..jobs.background_job import Work
+from ..jobs.worker import JobState
 from ..log import told
 from ..questions import Answer, Question, nothing
 from .autosave import Autosaved
@@ -52,7 +60,8 @@ class SceneFiles:
         self._arriving: Opened | None = None
         self._saving: _Saving | None = None
         self._next_saving: Callable[[], None] | None = None
-        self._importing: list[tuple[str, Future[Opened]]] = []
+        self._importing: list[_Importing] = []
+        self._exporting: list[_Exporting] = []
         self._recent: Future[list[Path]] | None = None
 
     # What is known
@@ -78,8 +87,15 @@ class SceneFiles:
         if self._opening is not None:
             return f"Opening {self._opening[0]}"
         if self._importing:
-            return f"Importing {self._importing[0][0]}"
-        return f"Saving {self._saving.target}" if self._saving is not None else None
+            return f"Importing {self._importing[0].path}"
+        if self._saving is not None:
+            return f"Saving {self._saving.target}"
+        return f"Exporting {self._exporting[0].target}" if self._exporting else None
+
+    @property
+    def work(self) -> list[Work]:
+        """Reading and writing that would be lost if the document went, or the program ended, now."""
+        return [*self._importing, *([self._saving] if self._saving is not None else []), *self._exporting]
 
     @property
     def pending(self) -> list[Future[Any]]:
@@ -87,7 +103,8 @@ class SceneFiles:
         opening = [self._opening[1]] if self._opening is not None else []
         saving = [self._saving.future] if self._saving is not None else []
         recent = [self._recent] if self._recent is not None else []
-        return [*opening, *saving, *recent, *(each for _, each in self._importing), *self.recovery.pending]
+        files = [*(each.future for each in self._importing), *(each.future for each in self._exporting)]
+        return [*opening, *saving, *recent, *files, *self.recovery.pending]
 
     # Opening
 
@@ -111,7 +128,7 @@ class SceneFiles:
         """Read a scene in the background and add its layers and actors to the present one."""
         logger.info("Importing %s", path)
         self._session.problem = None
-        self._importing.append((path, self._thread.submit(read_opened, path)))
+        self._importing.append(_Importing(f"Import {Path(path).name}", self._thread.submit(read_opened, path), path))
 
     def revert(self) -> None:
         """Go back to what is on the disk."""
@@ -119,19 +136,36 @@ class SceneFiles:
         if source is None:
             return
         title, text = "Revert", f"All changes of {self._session.scene.name} since it was last saved are lost."
-        back = Answer("Revert", lambda: self.open_now(source), "Read the scene again.")
+        back = Answer("Revert", lambda: self._read_again(source), "Read the scene again.")
         if self.has_changes:
             self._session.questions.ask(Question(title, text, (back, _CANCEL)))
         else:
-            self.open_now(source)
+            self._read_again(source)
 
     def close_scene(self) -> None:
         """Go to an empty scene."""
         empty = Opened(Scene("no scene"), "", None, None, KnownFiles())
         self.when_safe("close it", lambda: self._enter(empty))
 
-    def when_safe(self, what: str, act: Callable[[], None]) -> None:
-        """Do what takes the place of the document or ends the program; with unsaved changes, ask first."""
+    def when_safe(self, what: str, act: Callable[[], None], *, ends_program: bool = False) -> None:
+        """Do what takes the place of the document or ends the program; with work or unsaved changes, ask first.
+
+        Of jobs, those count that end with it: all where it ends the program.
+        """
+        self._session.when_idle(
+            self._ended_work(ends_program),
+            what,
+            lambda: self._when_saved(what, lambda: self._without_results(what, act)),
+        )
+
+    def _ended_work(self, ends_program: bool = False) -> list[Work]:
+        jobs = [each for each in self._session.jobs if ends_program or each.ends_with_scene]
+        return [*jobs, *self.work]
+
+    def _read_again(self, source: str) -> None:
+        self._session.when_idle(self._ended_work(), "revert", lambda: self.open_now(source))
+
+    def _when_saved(self, what: str, act: Callable[[], None]) -> None:
         if not self.has_changes:
             act()
             return
@@ -144,6 +178,22 @@ class SceneFiles:
         self._session.questions.ask(
             Question("Unsaved changes", f"Save the changes of {name} before you {what}?", answers)
         )
+
+    def _without_results(self, what: str, act: Callable[[], None]) -> None:
+        """Do it, once a person agrees to lose the roll-outs that were not saved."""
+        results = self._session.loose_results
+        if not results:
+            act()
+            return
+        one = len(results) == 1
+        listed = "".join(f"\n  -  {each}" for each in results)
+        text = (
+            f"{'This roll-out was' if one else 'These roll-outs were'} not saved, and {'is' if one else 'are'} lost "
+            f"if you {what}:\n{listed}\n\nTo save one, choose Save as... in the Drive panel."
+        )
+        lose = Answer(f"Lose {'it' if one else 'them'}", act, f"Lose the roll-outs and {what}.")
+        question = Question("Roll-outs that were not saved", text, (lose, _CANCEL), enter_answers=False)
+        self._session.questions.ask(question)
 
     def enter(self, opened: Opened, document: Document) -> None:
         """Take note that the session went to a document that was opened."""
@@ -170,8 +220,11 @@ class SceneFiles:
             self.place_wanted = lambda path: self.save_as(path, act)
 
     def save_to(self, path: Path, act: Callable[[], None] = nothing) -> None:
-        """Save to a scene folder or a file, unless somebody else has changed what is there: then ask first."""
-        home = self.home
+        """Save to a scene folder, unless somebody else has changed what is there: then ask first."""
+        home, path = self.home, path.parent if path.name == SCENE_FILE else path
+        if not names_scene_folder(path):
+            self._session.questions.ask(self._folder_question(path, act))
+            return
         if home is None or path.resolve() != home or not has_changed(home, self._stamp):
             self._begin_saving(path, act)
             return
@@ -182,7 +235,7 @@ class SceneFiles:
         answers = (
             Answer("Save as...", elsewhere, "Save to another place; both versions stay."),
             Answer("Overwrite", lambda: self._begin_saving(path, act), "What the other program has saved is lost."),
-            Answer("Reload", lambda: self.open_now(str(home)), "Read what is on the disk; the changes here are lost."),
+            Answer("Reload", lambda: self._read_again(str(home)), "Read what is on the disk; lose the changes here."),
             _CANCEL,
         )
         text = f"{home} was changed by another program or window since it was opened or saved here."
@@ -197,6 +250,49 @@ class SceneFiles:
         replacing = Answer("Replace", lambda: self.save_to(path, act), "The scene that stands there now is lost.")
         text = f"There is another scene in {other}. Replace it?"
         self._session.questions.ask(Question("Replace a scene", text, (replacing, _CANCEL)))
+
+    def export_to(self, path: Path) -> None:
+        """Write one file of what can be seen, a copy: the document stays as unsaved, and where, as it is.
+
+        Before, a person hears what the file leaves out, and which one it replaces.
+        """
+        try:
+            row = format_of(path)
+        except SceneFormatError as error:  # of an installed package
+            self._session.problem = str(error)
+            return
+        if row is None or row.write is None or path.is_dir():
+            *first, last = writable_suffixes()
+            kinds = f"{', '.join(first)} or {last}"
+            self._session.problem = f"{path}: Export writes one file, whose name ends in {kinds}."
+            return
+        scene = saved_scene(self._session)
+        if self._session.rain == load_preset("clear"):
+            scene = replace(scene, rain=None)
+        missing = left_out_when_flat(scene)
+        if not row.keeps_harmonics and any(each.gaussians.sh_degree for each in scene.members if each.visible):
+            missing.append(f"how colors depend on the direction of view ({row.suffix} has no place for it)")
+        if not missing and not path.exists():
+            self._begin_exporting(scene, path)
+            return
+        lines = [f"{path.name} will hold the Gaussians that can be seen, as they are at 0 s."]
+        if missing:
+            lines.append("\nIt leaves out:\n" + "\n".join(f"  -  {each}" for each in missing))
+            lines.append("\nThe document itself stays as it is; Save keeps all of it, in a scene folder.")
+        if path.exists():
+            lines.append(f"\nThe {path.name} that is there already is replaced.")
+        yes = Answer("Export", lambda: self._begin_exporting(scene, path), f"Write {path}.")
+        self._session.questions.ask(Question(f"Export {path.name}", "\n".join(lines), (yes, _CANCEL)))
+
+    def _folder_question(self, path: Path, act: Callable[[], None]) -> Question:
+        folder = path.with_name(path.name.removesuffix(path.suffix))
+        text = (
+            f"{path.name} names a single file. Save writes a scene folder, which keeps everything; "
+            "Export writes a file of what can be seen."
+        )
+        into = Answer(f"Save as {folder.name}", lambda: self.save_as(folder, act), f"Write the scene folder {folder}.")
+        file = Answer("Export...", lambda: self.export_to(path), f"Write {path}; changes stay unsaved.")
+        return Question("Save writes a scene folder", text, (into, file, _CANCEL))
 
     def give_up(self) -> None:
         """Take it that a person does not want the changes: nothing is kept of them."""
@@ -222,8 +318,10 @@ class SceneFiles:
         if self._saving is not None and self._saving.future.done():
             saving, self._saving = self._saving, None
             self._take_saved(saving)
-        if self._importing and self._importing[0][1].done():
-            self._take_imported(*self._importing.pop(0))
+        if self._importing and self._importing[0].future.done():
+            self._take_imported(self._importing.pop(0))
+        if self._exporting and self._exporting[0].future.done():
+            self._take_exported(self._exporting.pop(0))
         if self._recent is not None and self._recent.done():
             recent, self._recent = self._recent, None
             if recent.exception() is None:
@@ -258,51 +356,91 @@ class SceneFiles:
             return
         scene, document, known = saved_scene(self._session), self._session.history.present, self._known
         future = self._thread.submit(_write, scene, path, known)
-        self._saving = _Saving(path.resolve(), document, act, future)
+        self._saving = _Saving(f"Save {path.name}", future, path.resolve(), document, act)
+
+    def _begin_exporting(self, scene: Scene, path: Path) -> None:
+        future = self._thread.submit(write_scene, scene, path)
+        self._exporting.append(_Exporting(f"Export {path.name}", future, path))
 
     def _take_saved(self, saving: "_Saving") -> None:
         again, self._next_saving = self._next_saving, None
         try:
             stamp = saving.future.result()
         except Exception as error:
+            saving.state = "failed"
             self._session.problem = told(f"{saving.target} can't be saved", error)
             return
+        saving.state = "finished"
         logger.info("Saved %s", saving.target)
-        if stamp is not None or self.home is None:  # a single file beside a scene folder is only a copy of it
-            self._saved = saving.document
-            self.recovery.forget()
-        if stamp is not None:
-            if saving.target != self.home:
-                self.recovery.enter(saving.target, saving.document)
-            self.home, self.source, self._stamp = saving.target, str(saving.target), stamp
+        self._saved = saving.document
+        self.recovery.forget()
+        if saving.target != self.home:
+            self.recovery.enter(saving.target, saving.document)
+        self.home, self.source, self._stamp = saving.target, str(saving.target), stamp
         self._recent = self._thread.submit(add_recent_file, saving.target)
         saving.act()
         if again is not None:
             again()
 
-    def _take_imported(self, path: str, importing: "Future[Opened]") -> None:
+    def _take_imported(self, importing: "_Importing") -> None:
+        if importing.state == "cancelled":
+            return
         try:
-            other = importing.result().scene
+            other = importing.future.result().scene
         except Exception as error:  # whatever a file can do to its reader: the window lives on
-            self._session.problem = told(f"{path} can't be imported", error)
+            importing.state = "failed"
+            self._session.problem = told(f"{importing.path} can't be imported", error)
         else:
+            importing.state = "finished"
             self._session.edit(f"Import {other.name}", import_scene, other)
-            logger.info("Imported %s: %s Gaussians", path, f"{other.gaussian_count:,}")
+            logger.info("Imported %s: %s Gaussians", importing.path, f"{other.gaussian_count:,}")
+
+    def _take_exported(self, exporting: "_Exporting") -> None:
+        try:
+            exporting.future.result()
+        except Exception as error:  # whatever a disk can do
+            exporting.state = "failed"
+            self._session.problem = told(f"{exporting.target} can't be exported", error)
+        else:
+            exporting.state = "finished"
+            logger.info("Exported %s", exporting.target)
 
 
-@dataclass(frozen=True, eq=False)
-class _Saving:
+@dataclass(eq=False)
+class _FileWork:
+    """Reading or writing in the thread, as work to wait for; it has ended when its result is taken in."""
+
+    title: str
+    future: "Future[Any]"
+    state: JobState = field(default="running", init=False)
+    progress: Progress = field(default=Progress(0.0, ""), init=False)
+
+    def cancel(self) -> None:
+        """Leave the result; a file that is being written becomes whole all the same."""
+        self.state = "cancelled"
+
+
+@dataclass(eq=False)
+class _Importing(_FileWork):
+    path: str
+
+
+@dataclass(eq=False)
+class _Exporting(_FileWork):
+    target: Path
+
+
+@dataclass(eq=False)
+class _Saving(_FileWork):
     target: Path
     document: Document
     act: Callable[[], None]
-    future: "Future[DiskStamp | None]"
 
 
 _CANCEL = Answer("Cancel", nothing, "Change nothing.")
 
 
 def _write(scene: Scene, path: Path, known: KnownFiles) -> DiskStamp | None:
-    """Save; returns the state of the scene folder afterwards, None for a single file."""
-    is_folder = names_scene_folder(path)
+    """Save; returns the state of the scene folder afterwards."""
     write_scene(scene, path, known, in_drawing_order=True)
-    return stamp_of(path) if is_folder else None
+    return stamp_of(path)

@@ -18,6 +18,8 @@ from .worker import Job, JobState
 class CopiedSceneJob:
     """One run, a `BackgroundJob`. A kind of job says what comes of it in `_take`."""
 
+    ends_with_scene = True
+
     def __init__(
         self, title: str, scene: Scene, known: KnownFiles, files: ThreadPoolExecutor, start: Callable[[Path], Job]
     ) -> None:

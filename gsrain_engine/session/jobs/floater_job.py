@@ -18,6 +18,8 @@ TITLE = "Find floaters"
 class FloaterJob:
     """One run of the search, a `BackgroundJob`."""
 
+    ends_with_scene = True
+
     def __init__(self, scene: Scene, rules: FloaterRules) -> None:
         """Start on a scene."""
         self.title = TITLE

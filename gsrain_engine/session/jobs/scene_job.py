@@ -65,6 +65,8 @@ class SceneTask(Protocol):
 class SceneJob:
     """One run of a task, a `BackgroundJob`."""
 
+    ends_with_scene = True
+
     def __init__(self, task: SceneTask, files: ThreadPoolExecutor) -> None:
         """Start; `files` is where reading and writing happens."""
         self.title = task.title

@@ -20,6 +20,8 @@ logger = logging.getLogger("gsrain")
 class RecordingJob(CopiedSceneJob):
     """One recording. Its worker sees the numbers that the command line sees."""
 
+    ends_with_scene = False  # it has a copy of the document that it began with
+
     def __init__(
         self,
         scene: Scene,

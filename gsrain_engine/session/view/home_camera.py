@@ -3,35 +3,52 @@
 import numpy as np
 from jaxtyping import Float64
 
-from gsrain_engine.scene.bounds import robust_bounds
+from gsrain_engine.scene.bounds import Core, core_bounds
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.drive_path import drive_path
 from gsrain_engine.scene.paths.camera_path import CameraPath, orbit_path
 from gsrain_engine.scene.scene import RigCamera, Scene
 
-from .navigation import Navigation
+from .navigation import Navigation, is_in_view
 
 _FOV_DEG = 50.0
 _LOOKING_DOWN_DEG = 8.0
+_LOOKING_DOWN_ON_FLAT_DEG = 25.0
+"""On what is wide and low, such as a street, which hides itself behind its first houses otherwise."""
+_MARGIN = 1.12
+"""Around the box, which leaves out 2 % along each axis."""
 ORBIT_S = 8.0
 """How long the swing around a scene takes that has no drive."""
 
 
 def home_camera(scene: Scene, width: int, height: int) -> Camera:
     """Through the windscreen where the scene has an ego vehicle with a rig; else in front of the scene's middle."""
-    front = front_camera(scene)
+    core, front = scene_core(scene), front_camera(scene)
     if front is not None:
-        return drive_path(scene, front, width, height).camera(0.0, width, height)
-    low, high = scene_bounds(scene)
-    center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+        camera = drive_path(scene, front, width, height).camera(0.0, width, height)
+        if is_in_view(core, camera.position, camera.world_to_camera[2, :3], camera.vertical_fov_deg):
+            return camera
     # Captures look along their +z when up is -y (COLMAP's axes), along +x when up is +z.
     ahead = scene.scene_to_world[:3, 0 if scene.up == (0.0, 0.0, 1.0) else 2]
     ahead = ahead - [0, 0, ahead[2]]
     ahead = ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 1e-6 else np.array([1.0, 0, 0])
-    down = np.radians(_LOOKING_DOWN_DEG)
+    length, width_m, height_m = core.high - core.low
+    flat = 1.0 - min(2 * height_m / max(length, width_m, 1e-9), 1.0)
+    down = np.radians(_LOOKING_DOWN_DEG + flat * (_LOOKING_DOWN_ON_FLAT_DEG - _LOOKING_DOWN_DEG))
     sight = np.cos(down) * ahead - np.sin(down) * np.array([0, 0, 1.0])
-    eye = center - sight * radius / np.sin(np.radians(_FOV_DEG) / 2)
-    return Camera.from_fov(width, height, _FOV_DEG, look_at(eye, center, np.array([0.0, 0, 1])))
+    turn = look_at(np.zeros(3), sight, np.array([0.0, 0, 1]))[:3, :3]
+    eye = core.middle - sight * min(_fitting_distance(core, turn, width / height), max(core.farthest_m, 1e-3))
+    return Camera.from_fov(width, height, _FOV_DEG, look_at(eye, core.middle, np.array([0.0, 0, 1])))
+
+
+def _fitting_distance(core: Core, world_to_camera: Float64[np.ndarray, "3 3"], aspect: float) -> float:
+    """Distance from the middle at which a core fills the picture: its box with a margin, or the sphere around it."""
+    upright = np.tan(np.radians(_FOV_DEG) / 2)
+    sphere = max(core.radius_m, 1e-3) / np.sin(np.arctan(upright * min(aspect, 1.0)))
+    corners = np.stack(np.meshgrid(*zip(core.low, core.high, strict=True)), axis=-1).reshape(-1, 3) - core.middle
+    x, y, z = world_to_camera @ corners.T
+    box = np.max(np.maximum(np.abs(x) / (upright * aspect), np.abs(y) / upright) - z)
+    return float(min(sphere, _MARGIN * box + 1e-3))
 
 
 def default_path(scene: Scene, width: int, height: int) -> CameraPath:
@@ -39,8 +56,7 @@ def default_path(scene: Scene, width: int, height: int) -> CameraPath:
     front = front_camera(scene)
     if front is not None:
         return drive_path(scene, front, width, height)
-    low, high = scene_bounds(scene)
-    return orbit_path((low + high) / 2, home_camera(scene, width, height), ORBIT_S)
+    return orbit_path(scene_core(scene).middle, home_camera(scene, width, height), ORBIT_S)
 
 
 def front_camera(scene: Scene) -> RigCamera | None:
@@ -51,29 +67,23 @@ def front_camera(scene: Scene) -> RigCamera | None:
     return max(mounted, key=lambda each: each.camera_to_ego[0, 2], default=None)
 
 
-def scene_bounds(scene: Scene) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
-    """Box in the world around most of what can be seen, without the sky and stray Gaussians."""
-    shown = [each for each in scene.layers if each.visible and each.kind != "sky"] or [
-        each for each in scene.actors if each.visible
-    ]
-    parts = [part for each in shown if (part := scene.part(each)) is not None and len(part.remaining)]
-    corners = [
-        _corners(*robust_bounds(part.remaining)) @ part.to_world[:3, :3].T + part.to_world[:3, 3] for part in parts
-    ]
-    every = np.concatenate(corners) if corners else np.zeros((1, 3))
-    return every.min(axis=0), every.max(axis=0)
-
-
-def _corners(low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "8 3"]:
-    return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+def scene_core(scene: Scene) -> Core:
+    """Find the dense core of what can be seen, and the sky around it; where no layer is shown, of the actors."""
+    layers = [each for each in scene.layers if each.visible]
+    shown = [each for each in layers if each.kind != "sky"] or [each for each in scene.actors if each.visible]
+    parts, sky = (
+        [part for each in members if (part := scene.part(each)) is not None]
+        for members in (shown, [each for each in layers if each.kind == "sky"])
+    )
+    return core_bounds(parts, sky)
 
 
 def home_navigation(scene: Scene, width: int, height: int, speed_m_s: float) -> Navigation:
-    """Stand at the home camera; turning goes around what is in front, 1 to 20 m away."""
-    camera = home_camera(scene, width, height)
+    """Stand at the home camera; turning goes around the middle, inside of the scene around what is 1 to 20 m ahead."""
+    camera, core = home_camera(scene, width, height), scene_core(scene)
     navigation = Navigation(speed_m_s=speed_m_s)
     navigation.look_like(camera)
-    low, high = scene_bounds(scene)
-    in_front = float(camera.world_to_camera[2, :3] @ ((low + high) / 2) + camera.world_to_camera[2, 3])
-    navigation.distance_m = float(np.clip(in_front, 1.0, 20.0))
+    in_front = float(camera.world_to_camera[2, :3] @ core.middle + camera.world_to_camera[2, 3])
+    is_outside = float(np.linalg.norm(core.middle - camera.position)) > core.radius_m
+    navigation.distance_m = max(in_front, 1e-3) if is_outside else float(np.clip(in_front, 1.0, 20.0))
     return navigation

@@ -5,10 +5,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float64
 
+from gsrain_engine.scene.bounds import Core
 from gsrain_engine.scene.camera import Camera, look_at
 
 _STEEPEST = np.radians(89.0)
 _UP = np.array([0.0, 0.0, 1.0])
+_NEAREST_M = 0.05
+"""Distance at which the wheel moves the target on."""
 SLOWEST_M_S, FASTEST_M_S = 0.05, 500.0
 
 
@@ -83,11 +86,27 @@ class Navigation:
         up = np.cross(self.right, self.forward)
         self.position = self.position + metres * (right_share * self.right + up_share * up)
 
-    def dolly(self, steps: float) -> None:
-        """Come nearer to the target (positive) or go away, by a tenth of the distance a step."""
-        target = self.target
-        self.distance_m = float(np.clip(self.distance_m * 0.9**steps, 0.05, 1e5))
-        self.position = target - self.distance_m * self.forward
+    def dolly(self, steps: float, core: Core) -> None:
+        """Come nearer to the target (positive) or go away, by a tenth of the distance a step.
+
+        From outside of a scene's core the way leads to it: where it is out of sight the eye turns to it first. A target
+        that is reached moves on ahead; going away ends inside of a shell.
+        """
+        radius = max(core.radius_m, 1e-3)
+        self._mend(core)
+        gap = float(np.linalg.norm(self.position - np.clip(self.position, core.low, core.high)))
+        if gap > 0:
+            self.distance_m = float(np.clip(self.distance_m, gap + 0.5 * radius, gap + 2 * radius))
+            if not is_in_view(core, self.position, self.forward, self.vertical_fov_deg):
+                self._look_at(core.middle)
+        else:
+            self.distance_m = min(self.distance_m, 2 * radius)
+        distance = self.distance_m * 0.9**steps
+        moved = self.position + (self.distance_m - distance) * self.forward
+        before, after = (float(np.linalg.norm(each - core.middle)) for each in (self.position, moved))
+        if after > max(before, core.farthest_m):
+            return
+        self.position, self.distance_m = moved, max(distance, min(0.01 * radius, _NEAREST_M))
 
     def fly(self, forward: float, right: float, up: float, real_s: float) -> None:
         """Fly for a while; each direction is -1, 0 or 1."""
@@ -108,8 +127,35 @@ class Navigation:
         """Fly faster or slower, by a quarter a step."""
         self.speed_m_s = float(np.clip(self.speed_m_s * 1.25**steps, SLOWEST_M_S, FASTEST_M_S))
 
-    def frame(self, low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]) -> None:
-        """Back off along the line of sight until a box fills the picture."""
-        center, radius = (low + high) / 2, float(np.linalg.norm(high - low) / 2)
-        self.distance_m = max(radius / np.sin(np.radians(self.vertical_fov_deg) / 2), 0.1)
-        self.position = center - self.distance_m * self.forward
+    def frame(self, core: Core) -> None:
+        """Back off along the line of sight until a scene's core fills the picture, but not out of the shell around."""
+        self._mend(core)
+        wanted = max(core.radius_m, 1e-3) / float(np.sin(np.radians(self.vertical_fov_deg) / 2))
+        self.distance_m = min(wanted, max(core.farthest_m, 1e-3))
+        self.position = core.middle - self.distance_m * self.forward
+
+    def _look_at(self, point: Float64[np.ndarray, "3"]) -> None:
+        x, y, z = (point - self.position).tolist()
+        self.heading = float(np.arctan2(y, x))
+        self.pitch = float(np.clip(np.arctan2(z, np.hypot(x, y)), -_STEEPEST, _STEEPEST))
+
+    def _mend(self, core: Core) -> None:
+        """Come back from a place that is no place: one that no arithmetic leads out of."""
+        if not np.isfinite([self.heading, self.pitch]).all():
+            self.heading = self.pitch = 0.0
+        far = 1e6 * (core.radius_m + 1.0)
+        if not (np.abs(self.position - core.middle) < far).all() or not 0 < self.distance_m < far:
+            self.distance_m = max(core.radius_m, 1e-3)
+            self.position = core.middle - self.distance_m * self.forward
+
+
+def is_in_view(
+    core: Core, eye: Float64[np.ndarray, "3"], forward: Float64[np.ndarray, "3"], vertical_fov_deg: float
+) -> bool:
+    """Whether a scene's core reaches into the circle within the picture's height; from inside of it always."""
+    away, radius = core.middle - eye, max(core.radius_m, 1e-3)
+    distance = float(np.linalg.norm(away))
+    if distance <= radius:
+        return True
+    between = np.arccos(np.clip(away @ forward / distance, -1, 1))
+    return bool(between - np.arcsin(radius / distance) < np.radians(vertical_fov_deg) / 2)

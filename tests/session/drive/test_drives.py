@@ -1,5 +1,7 @@
 """Roll-outs in a session: opened, played, saved, closed; the document stays as it is."""
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
@@ -114,6 +116,23 @@ def test_what_is_no_rollout_is_told_and_nothing_changes(session, tmp_path, damag
     settled(session)
     assert "bad.jsonl" in session.problem
     assert session.drives.playing is playing
+
+
+def test_a_rollout_that_was_not_saved_is_asked_about_before_it_is_lost(session, tmp_path):
+    session.leave()
+    assert session.is_leaving  # it came from a file
+    session.is_leaving = False
+    own = replace(session.drives.playing, path=None)
+    session.drives.opened, session.drives.playing = [own], own
+    session.leave()
+    question = session.questions.present
+    assert own.title in question.text and not question.enter_answers and not session.is_leaving
+    session.questions.answer(question.answers[-1])
+    assert not session.is_leaving
+    session.drives.save_as(session, tmp_path / "mine")
+    settled(session)
+    session.leave()
+    assert session.is_leaving and session.questions.present is None
 
 
 def test_a_rollout_is_saved_as_it_is(session, tmp_path, file):

@@ -7,6 +7,7 @@ from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Layer
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.session.edits.cropping import box_around
 from gsrain_engine.session.edits.floaters import FloaterRules, FloaterSearch, select_floaters
 from gsrain_engine.session.jobs.floater_job import FloaterJob
 from gsrain_engine.session.session import Session
@@ -75,6 +76,22 @@ def test_a_layer_that_has_changed_since_is_passed_by():
     assert select_floaters(before, search.found).layers[0].marks.selected.size == 3
     other = before.with_member("layers/cloud", gaussians=cloud())
     assert select_floaters(other, search.found) is other
+
+
+def test_a_sky_dome_in_the_same_file_is_no_floater_and_not_in_the_crop_box():
+    f, rng = np.float32, np.random.default_rng(1)
+    ways = rng.normal(size=(300, 3))
+    ways[:, 2] = np.abs(ways[:, 2])
+    sky = (200 * ways / np.linalg.norm(ways, axis=1, keepdims=True)).astype(f)
+    sky = Gaussians(sky, np.full((300, 3), 20, f), cloud().quaternions[:300], np.full(300, 0.04, f), cloud().sh[:300])
+    both = Scene("cloud", (Layer("cloud", Gaussians.concatenate([cloud(), sky])),))
+    rules = FloaterRules(opacity_below=0.03, size_above_m=5.0, isolation_above=8.0)
+    faint = found(both, rules)
+    assert faint == {"layers/cloud": [0, 2, 3, *range(1000, 1300)]}  # so faint, the dome is none
+    sky = replace(sky, opacities=np.full(300, 0.9, f))
+    both = Scene("cloud", (Layer("cloud", Gaussians.concatenate([cloud(), sky])),))
+    assert found(both, rules) == {"layers/cloud": [0, 2, 3]}
+    assert max(box_around(both).size_m) < 15
 
 
 def finished(job, session):

@@ -1,4 +1,4 @@
-"""What a person does with an open document, and waiting for what comes of it."""
+"""What a person does with an open document, a job that goes on meanwhile, and waiting for what comes of it."""
 
 from concurrent.futures import wait
 
@@ -6,6 +6,8 @@ import numpy as np
 
 from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
+from gsrain_engine.scene.progress import Progress
+from gsrain_engine.session.document.staged_scene import StagedScene
 
 
 def settle(session):
@@ -38,3 +40,23 @@ def keep_now(session):
 
 def names_in(folder):
     return {file.name: file.stat().st_ino for file in folder.rglob("*") if file.is_file()}
+
+
+class HeldJob:
+    """A job that goes on until the test ends it."""
+
+    def __init__(self, title="Make it rainy", ends_with_scene=True):
+        self.title, self.ends_with_scene, self.state = title, ends_with_scene, "running"
+        self.progress, self.error, self.details = Progress(0.4, "at it"), None, None
+        self.result = None
+        self.fails = False
+
+    def poll(self, session):
+        if self.fails:
+            self.state, self.error = "failed", "the third wheel is missing"
+        elif self.result is not None:
+            session.stage(StagedScene(self.title, self.result))
+            self.state = "finished"
+
+    def cancel(self):
+        self.state = "cancelled"

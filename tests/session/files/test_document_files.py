@@ -1,15 +1,28 @@
 """What a session opens, saves and asks: no window needed."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.scene.flattening import left_out_when_flat
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
-from session.files.open_document import answer, delete_every_third, names_in, settle
+from gsrain_engine.scene.members import Layer
+from gsrain_engine.scene.paths.camera_path import CameraPath
+from gsrain_engine.scene.scene import Scene
+from gsrain_engine.session.appearance.transfer_preview import TransferPreview
+from gsrain_engine.session.appearance.transfer_training import TransferTraining
+from gsrain_engine.session.drive.drive_job import DriveJob
+from gsrain_engine.session.drive.film_job import DriveFilmJob
+from gsrain_engine.session.jobs.background_job import BackgroundJob
+from gsrain_engine.session.jobs.floater_job import FloaterJob
+from gsrain_engine.session.jobs.scene_job import SceneJob
+from gsrain_engine.session.recording.recording_job import RecordingJob
+from session.files.open_document import HeldJob, answer, delete_every_third, keep_now, names_in, settle
 from small_scene import small_scene
 
 
@@ -108,12 +121,107 @@ def test_what_has_no_folder_asks_for_a_place(sessions, tmp_path):
     assert read_scene(tmp_path / "placed").name == "new"
 
 
-def test_a_single_file_beside_a_scene_folder_is_only_a_copy(session, tmp_path):
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz"])
+@pytest.mark.parametrize("source", ["folder", "file", "nothing"])
+def test_an_export_is_a_copy_and_the_document_stays_unsaved(sessions, home, tmp_path, source, suffix):
+    session = sessions(small_scene("new"))
+    if source != "nothing":
+        write_scene(small_scene(), tmp_path / "flat.ply")
+        session.open(str(home if source == "folder" else tmp_path / "flat.ply"))
+        settle(session)
     delete_every_third(session)
-    session.save(tmp_path / "copy.ply")
+    keep_now(session)
+    kept, files = session.files.recovery.kept, session.files
+    before = files.home, files.source, files.recent, session.scene.name
+    assert (kept / "scene" / "scene.json").is_file()
+    files.export_to(tmp_path / f"copy{suffix}")
+    if session.questions.present is not None:
+        answer(session, "Export")
     settle(session)
-    assert len(read_scene(tmp_path / "copy.ply").layers[0].gaussians) == session.scene.gaussian_count
-    assert session.has_changes
+    assert read_scene(tmp_path / f"copy{suffix}").gaussian_count == session.scene.gaussian_count
+    assert session.has_changes and session.problem is None
+    assert (files.home, files.source, files.recent, session.scene.name) == before
+    assert files.recovery.kept == kept and (kept / "scene" / "scene.json").is_file()
+    session.leave()
+    assert session.questions.present.title == "Unsaved changes" and not session.is_leaving
+    answer(session, "Save")
+    if source != "folder":
+        files.place_wanted(tmp_path / "placed")
+        settle(session)
+    assert session.is_leaving and files.home == (home if source == "folder" else tmp_path / "placed")
+
+
+def test_an_export_says_before_what_it_leaves_out(session, tmp_path):
+    scene = session.scene
+    path = CameraPath(np.zeros(1), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.full(1, 40.0))
+    hidden = Marks(hidden=Mask.of(np.arange(len(scene.layers[1].gaussians)) < 5))
+    scene = scene.with_member("layers/road", wet_sh=scene.layers[0].gaussians.sh)
+    session.set_scene("Edit", replace(scene.with_member("layers/wall", marks=hidden), path=path))
+    session.change_rain("Rain", intensity_mm_h=4.0)
+    session.files.export_to(tmp_path / "out.ply")
+    text = session.questions.present.text
+    assert not (tmp_path / "out.ply").exists() and not session.files.work
+    for phrase in (
+        "3 layers",
+        "which layer is the sky",
+        "5 hidden",
+        "wet colors",
+        "1 camera key\n",
+        "the rain\n",
+        "rig",
+    ):
+        assert phrase in text
+    for phrase in ("actor", "selection", "over time", "direction of view", "replaced"):
+        assert phrase not in text
+    answer(session, "Cancel")
+    assert not (tmp_path / "out.ply").exists()
+    assert left_out_when_flat(Scene("one", (Layer("one", scene.layers[0].gaussians),))) == []
+
+
+def test_an_export_asks_before_it_replaces_a_file_and_needs_the_name_of_one(sessions, tmp_path):
+    session = sessions(Scene("one", (Layer("one", small_scene().layers[0].gaussians),)))
+    session.files.export_to(tmp_path / "out.spz")
+    assert session.questions.present is None
+    settle(session)
+    written = (tmp_path / "out.spz").stat().st_ino
+    session.files.export_to(tmp_path / "out.spz")
+    assert "replaced" in session.questions.present.text
+    answer(session, "Cancel")
+    assert (tmp_path / "out.spz").stat().st_ino == written
+    for name in ("out", "out.png", "out.ksplat"):
+        session.problem = None
+        session.files.export_to(tmp_path / name)
+        assert "ends in .ply, .splat or .spz" in session.problem and not (tmp_path / name).exists()
+    (tmp_path / "broken").write_text("no folder")
+    session.files.export_to(tmp_path / "broken" / "out.ply")
+    settle(session)
+    assert "can't be exported" in session.problem
+
+
+@pytest.mark.parametrize("name", ["out.ply", "out.SPZ", "out.ksplat"])
+def test_save_writes_no_single_file_but_names_export(session, tmp_path, name):
+    delete_every_third(session)
+    session.leave()
+    answer(session, "Cancel")
+    session.files.save_as(tmp_path / name)
+    assert "Export" in session.questions.present.text
+    answer(session, "Cancel")
+    assert session.has_changes and not (tmp_path / name).exists()
+    session.files.save_as(tmp_path / name)
+    answer(session, "Save as out")
+    assert not session.has_changes and session.files.home == tmp_path / "out"
+    assert read_scene(tmp_path / "out").members[0].marks.deleted is not None
+
+
+def test_what_is_being_written_and_read_is_waited_for_before_the_end(session, tmp_path):
+    write_scene(small_scene("other"), tmp_path / "other.ply")
+    session.files.import_from(str(tmp_path / "other.ply"))
+    session.leave()
+    assert session.questions.present.title == "Waiting" and not session.is_leaving
+    settle(session)
+    assert session.questions.present.title == "Unsaved changes"  # the import is one
+    answer(session, "Save")
+    assert session.is_leaving and "other" in [layer.name for layer in read_scene(session.files.home).layers]
 
 
 @pytest.mark.parametrize(("label", "is_saved", "is_opened"), [
@@ -231,3 +339,103 @@ def test_a_newer_scene_is_refused_and_nothing_is_lost(session, home, tmp_path):
     answer(session, "Overwrite")
     assert "newer program" in session.problem  # not even then
     assert session.has_changes
+
+
+def at_work(session, *jobs):
+    for job in jobs:
+        assert isinstance(job, BackgroundJob)
+        session.start(job)
+    return jobs
+
+
+@pytest.mark.parametrize("changes", [False, True])
+def test_the_end_waits_for_a_job_and_takes_its_result_in(session, changes):
+    (job,) = at_work(session, HeldJob())
+    session.leave()
+    question = session.questions.present
+    assert question.title == "Work goes on" and "Make it rainy" in question.text and not session.is_leaving
+    assert question.progress().fraction == 0.4
+    answer(session, "Wait")
+    assert session.questions.present.title == "Waiting" and not session.questions.present.enter_answers
+    assert job.state == "running" and not session.is_leaving
+    if changes:
+        road = session.scene.layers[0]
+        job.result = session.scene.with_member(road.key, gaussians=road.gaussians.with_sh(road.gaussians.sh + 1))
+        session.update(0.0)
+        assert job.state == "finished" and session.staged is not None and not session.is_leaving
+        settle(session)
+        assert session.history.undo_label == "Make it rainy"
+        assert session.questions.present.title == "Unsaved changes" and not session.is_leaving
+        answer(session, "Don't save")
+    else:
+        job.state = "finished"
+        session.update(0.0)
+    assert session.is_leaving and session.questions.present is None
+
+
+def test_stopping_a_job_goes_on_with_the_end(session):
+    jobs = at_work(session, HeldJob(), HeldJob("Record clip.mp4", ends_with_scene=False))
+    delete_every_third(session)
+    session.leave()
+    assert "Make it rainy and Record clip.mp4 are" in session.questions.present.text
+    answer(session, "Stop them")
+    assert [job.state for job in jobs] == ["cancelled", "cancelled"]
+    assert session.questions.present.title == "Unsaved changes"
+    answer(session, "Don't save")
+    assert session.is_leaving
+
+
+def test_cancelling_leaves_window_and_job_as_they_are(session):
+    (job,) = at_work(session, HeldJob())
+    session.leave()
+    answer(session, "Cancel")
+    assert (job.state, session.is_leaving, session.questions.present) == ("running", False, None)
+    session.leave()
+    answer(session, "Wait")
+    answer(session, "Cancel")
+    job.state = "finished"
+    settle(session)
+    assert (session.is_leaving, session.questions.present) == (False, None)
+    session.leave()
+    assert session.is_leaving
+
+
+def test_a_job_that_fails_while_it_is_waited_for_keeps_the_window_open(session):
+    (job,) = at_work(session, HeldJob())
+    session.leave()
+    answer(session, "Wait")
+    job.fails = True
+    settle(session)
+    assert not session.is_leaving and session.questions.present is None
+    assert "third wheel" in session.problem
+
+
+@pytest.mark.parametrize("go", ["open", "close", "revert"])
+def test_another_document_asks_about_jobs_that_end_with_this_one(session, tmp_path, go):
+    write_scene(small_scene("other"), tmp_path / "other")
+    to_another = {
+        "open": lambda: session.open(str(tmp_path / "other")),
+        "close": session.files.close_scene,
+        "revert": session.files.revert,
+    }[go]
+    job, recording = at_work(session, HeldJob(), HeldJob("Record clip.mp4", ends_with_scene=False))
+    scene = session.scene
+    to_another()
+    assert "Make it rainy is" in session.questions.present.text and not session.files.is_opening
+    answer(session, "Cancel")
+    assert session.scene is scene and job.state == "running"
+    to_another()
+    answer(session, "Wait")
+    job.state = "finished"
+    session.update(0.0)
+    settle(session)
+    assert session.scene is not scene and (job.state, recording.state) == ("finished", "running")
+    at_work(session, HeldJob())
+    session.leave()
+    answer(session, "Stop them")
+    assert session.is_leaving
+
+
+def test_every_kind_of_job_says_if_it_ends_with_its_scene():
+    kinds = SceneJob, FloaterJob, DriveJob, DriveFilmJob, TransferPreview, RecordingJob, TransferTraining
+    assert [kind.ends_with_scene for kind in kinds] == [True] * 5 + [False] * 2
