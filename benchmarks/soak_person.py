@@ -181,7 +181,7 @@ class Person:
         yield from self._until(lambda: not session.scene.members)
         session.clear_jobs()
         yield from self._until(lambda: not session.is_working and all(each.done() for each in session.pending_files))
-        yield from self._frames(3)
+        yield from self._for(3.0)  # the program gives memory back after a second
         self.is_at_rest = True
         yield
         self.is_at_rest = False

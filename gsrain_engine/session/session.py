@@ -26,6 +26,7 @@ from .files.kept_view import look_again
 from .files.opened import Opened
 from .files.scene_files import SceneFiles
 from .files.screenshot_name import new_screenshot
+from .freed_memory import FreedMemory
 from .jobs.scene_job import SceneJob, SceneTask
 from .log import LogLines
 from .matching.matching_view import MatchingView
@@ -73,6 +74,7 @@ class Session(Desk):
         self.is_leaving = False
         """Whether the program shall end now: a person wants it, and has said what becomes of unsaved changes."""
         self._roofs = RoofSearch(self._files)
+        self._freed_memory = FreedMemory(self._files)
         self._other_rainfall = self.rainfall
         self.files = SceneFiles(self, self.enter, self._files)
         self.recorder = Recorder(self, self.files, self._files)
@@ -109,6 +111,7 @@ class Session(Desk):
         self.files.enter(opened, self.history.present)
         self._follow_document()
         self.enter_scene()
+        self._freed_memory.note_work()
         if scene.view is not None:
             look_again(self, scene.view)
 
@@ -196,6 +199,9 @@ class Session(Desk):
         self.rainy.poll(self)
         if self.staged is None and not self.drives.is_working:  # else a result is still on its way in
             self._go_on_when_idle()
+        if self.is_working:
+            self._freed_memory.note_work()
+        self._freed_memory.poll()
 
     # What is shown
 
