@@ -8,6 +8,7 @@ from cyclopts import Parameter
 from gsrain_engine.rain.disdrometer.reading import UnknownKindError
 from gsrain_engine.rain.disdrometer.tables import TableColumns, load_columns
 from gsrain_engine.rain.fitting.measured_file import open_measured
+from gsrain_engine.scene.formats.gaussian_files import unknown_format
 
 from ..console import print_lines
 
@@ -27,8 +28,6 @@ def disdrometer_info(file: Path, columns: Path | None) -> dict[str, Any]:
     try:
         measured = open_measured(file, columns_of(columns)).measured()
     except UnknownKindError as error:
-        raise ValueError(
-            str(error).replace(f"{file}: ", f"{file}: no scene and no capture; as measured rain: ", 1)
-        ) from None
+        raise ValueError(f"{file}: {unknown_format(file)}; nor measured rain: {error.problem}") from None
     print_lines("\n".join(measured.lines))
     return measured.numbers()

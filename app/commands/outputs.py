@@ -9,8 +9,6 @@ from pathlib import Path
 
 from gsrain_engine.scene.file_lock import holding
 from gsrain_engine.scene.file_names import name_problem, shortened
-from gsrain_engine.scene.formats.gaussian_files import check_written_format
-from gsrain_engine.scene.formats.scene_files import names_scene_folder
 
 from .arguments import SCREEN
 
@@ -20,6 +18,8 @@ PAGES = (".html", ".htm")
 
 def check_scene_folder(output: Path) -> None:
     """Raise ValueError where a scene folder can't be written: the name of a file, a folder with other things in it."""
+    from gsrain_engine.scene.formats.scene_files import names_scene_folder  # and NumPy, which no start waits for
+
     check_writable(folders=[output])
     if not names_scene_folder(output):
         folder = output.with_suffix("")
@@ -30,6 +30,9 @@ def check_scene_folder(output: Path) -> None:
 
 def check_scene_target(output: Path) -> None:
     """Raise ValueError where no scene can be written: as a folder, or as a file of a format that can be written."""
+    from gsrain_engine.scene.formats.gaussian_files import check_written_format
+    from gsrain_engine.scene.formats.scene_files import names_scene_folder
+
     _check_name(output)
     if names_scene_folder(output):
         check_scene_folder(output)

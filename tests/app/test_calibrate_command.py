@@ -154,7 +154,7 @@ def test_info_of_a_file_of_no_kind_lists_what_is_known(tmp_path, capsys):
     file.write_text("not rain at all\n")
     assert run(["info", str(file)]) == BAD_INPUT
     error = capsys.readouterr().err
-    assert f"{file}: no scene and no capture; as measured rain: line 1: not a disdrometer file" in error
+    assert f"{file}: no known scene format: the name must end in " in error
     assert "DISDRODB" in error and error.count("gsrain:") == 1
 
 

@@ -145,7 +145,7 @@ def test_lpips_weights_become_plain_arrays(tmp_path, capsys):
         (
             tmp_path / "alex.npz",
             tmp_path / "alex.onnx",
-            "alex.onnx: expected a name that ends with .safetensors or .npz",
+            "alex.onnx: expected a name that ends in .safetensors or .npz",
         ),
         (tmp_path / "none.pth", tmp_path / "a.npz", "none.pth: no such file"),
     ):

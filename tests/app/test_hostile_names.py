@@ -195,6 +195,7 @@ def installed(monkeypatch):
         value = getattr(doctor, name)
         if callable(value) and name not in ("_tried",) and getattr(value, "__module__", "") == doctor.__name__:
             monkeypatch.setattr(doctor, name, lambda *_: found)
+    monkeypatch.setattr(doctor, "find_depth_order", lambda: [found])
 
 
 @pytest.mark.parametrize("way", WAYS, ids=[f"{place} {way.command}" for place, way in enumerate(WAYS)])

@@ -87,7 +87,7 @@ def test_pictures_of_different_sizes_go_all_the_way(files, tmp_path):
         ({"-o": "capture"}, "expected a new folder"),
         ({"--held-out": "1"}, "would be held out"),
         ({"-o": "clear/scene.json/out"}, "scene.json is a file"),
-        ({"--report": "clear/scene.json/out"}, "scene.json is a file"),
+        ({"--report": "clear/scene.json/out.html"}, "scene.json is a file"),
         ({"--polish": "5"}, "--polish needs torch, which is not installed: pip install 'gsrain[jobs]'"),
     ],
 )

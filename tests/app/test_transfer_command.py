@@ -140,7 +140,7 @@ def test_recorded_cameras_of_a_scene_are_those_of_its_capture(files, tmp_path):
         ({"SOURCE": "drive", "--capture": "drive"}, "--capture: drive is a capture itself"),
         ({"--cameras": "roof"}, "no camera roof, only front, left"),
         ({"-o": "notes"}, "notes: holds other things"),
-        ({"-o": "notes/mine.txt"}, "mine.txt: is a file"),
+        ({"-o": "notes/mine.txt"}, "mine.txt: can't be written, for it is a file"),
         ({"--sheet": "notes/mine.txt/a.png"}, "can't be written"),
     ],
 )

@@ -33,8 +33,8 @@ def test_every_package_that_is_read_as_data_is_a_package():
     assert [package for package in PACKAGES if not (REPOSITORY / package / "__init__.py").is_file()] == []
 
 
-def test_the_changes_begin_with_this_version():
+def test_the_newest_release_among_the_changes_is_this_version():
     version = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["project"]["version"]
-    newest = re.search(r"^## (\S+)", (REPOSITORY / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    newest = re.search(r"^## (?!Unreleased)(\S+)", (REPOSITORY / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
     assert newest is not None
     assert newest[1] == version

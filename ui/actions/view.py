@@ -33,7 +33,7 @@ VIEW_ACTIONS = (
         lambda session: session.frame_scene(),
         "View",
         chord(_KEY.f),
-        "Back off until the whole scene can be seen.",
+        "Back off until what is chosen under Layers, or else the whole scene, can be seen.",
     ),
     Action(
         "Go home",

@@ -17,7 +17,11 @@ def view_bar(session: Session) -> None:
     icon = _ICONS.ICON_FA_PAUSE if playing else _ICONS.ICON_FA_PLAY
     if _button(icon, "Play", "Let time go on or stop it (Space)."):
         session.clock.toggle()
-    if _button(_ICONS.ICON_FA_EXPAND, "Frame", "Back off until the whole scene can be seen (F)."):
+    if _button(
+        _ICONS.ICON_FA_EXPAND,
+        "Frame",
+        "Back off until what is chosen under Layers, or else the whole scene, can be seen (F).",
+    ):
         session.frame_scene()
     if _button(_ICONS.ICON_FA_HOUSE, "Home", "Back to where the scene was first looked at from (R)."):
         session.go_home()

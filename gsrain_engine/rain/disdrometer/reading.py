@@ -26,14 +26,12 @@ KNOWN_KINDS = (
 
 
 class UnknownKindError(DisdrometerFileError):
-    """A file of no kind that is known."""
+    """A file of no kind that is known; `problem` says so without its name."""
 
     def __init__(self, path: Path, what: str):
-        ValueError.__init__(
-            self,
-            f"{path}: {printable(what)}; known are {KNOWN_KINDS}; of any other table of text say which column is what, "
-            "by --columns FILE.yaml",
-        )
+        other = "of any other table of text say which column is what, by --columns FILE.yaml"
+        self.problem = f"{printable(what)}; known are {KNOWN_KINDS}; {other}"
+        ValueError.__init__(self, f"{path}: {self.problem}")
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -48,6 +48,11 @@ def writable_suffixes() -> tuple[str, ...]:
     return (*ours, *(suffix for suffix in installed_suffixes() if _is_written(suffix)))
 
 
+def unknown_format(path: Path) -> str:
+    """Return what is wrong with the name of a file of no known format, without that name."""
+    return f"no known scene format: the name must end in {_listed(scene_suffixes())}{_slip(path)}"
+
+
 def read_gaussians(path: Path) -> Gaussians:
     """Read a single file of any known format.
 
@@ -57,8 +62,7 @@ def read_gaussians(path: Path) -> Gaussians:
     """
     row = format_of(path)
     if row is None:
-        known = _listed(scene_suffixes())
-        raise SceneFormatError(path, f"no known scene format: the name must end in {known}{_slip(path)}")
+        raise SceneFormatError(path, unknown_format(path))
     if path.exists() and not path.is_file():
         raise SceneFormatError(path, "not a file")
     return row.read(path)

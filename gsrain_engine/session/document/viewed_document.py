@@ -10,7 +10,7 @@ from gsrain_engine.rain.rainfall import OVERCAST, Rainfall
 from gsrain_engine.render.frame import Color
 from gsrain_engine.render.scene_view import Shot
 from gsrain_engine.render.sky_color import Sky
-from gsrain_engine.scene.bounds import Core
+from gsrain_engine.scene.bounds import Core, core_bounds
 from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 
@@ -125,8 +125,10 @@ class ViewedDocument(EditedDocument):
         return Shot(camera, t, velocity, camera.fx * focal_scale)
 
     def frame_scene(self) -> None:
-        """Back off until the scene can be seen: the core of it, where it is dense."""
-        self.navigation.frame(self.core)
+        """Back off until the chosen layer or actor can be seen, or else the scene where it is dense."""
+        chosen = next((each for each in self.scene.members if each.key == self.view.member and each.visible), None)
+        part = None if chosen is None else self.scene.part(chosen, self.clock.time_s)
+        self.navigation.frame(self.core if part is None else core_bounds([part]))
 
     def dolly(self, steps: float) -> None:
         """Come nearer to what is looked at (positive) or go away; from outside of the scene, to the scene."""

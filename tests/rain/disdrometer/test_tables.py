@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conftest import REPOSITORY
 from extension_package import titled_blocks
 from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, UnknownKindError, read_disdrometer
 from gsrain_engine.rain.disdrometer.joss_waldvogel import RD80_EDGES_MM
@@ -286,7 +285,7 @@ def test_columns_do_not_describe_what_is_no_text(tmp_path: Path):
 
 
 def test_the_documented_example_prints_what_the_page_says(tmp_path: Path):
-    blocks = titled_blocks(REPOSITORY / "docs" / "guide" / "calibration.md")
+    blocks = titled_blocks(Path(__file__).parents[3] / "docs" / "guide" / "calibration.md")
     for name in ("counter.csv", "counter.yaml"):
         (tmp_path / name).write_text(blocks[name], encoding="utf-8")
     measured = open_measured(tmp_path / "counter.csv", load_columns(tmp_path / "counter.yaml")).measured()
@@ -294,6 +293,6 @@ def test_the_documented_example_prints_what_the_page_says(tmp_path: Path):
 
 
 def test_every_field_of_a_description_is_documented():
-    text = (REPOSITORY / "docs" / "formats.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
     section = text.partition("## Tables of disdrometers\n")[2].partition("\n## ")[0]
     assert [field for field in TableColumns.__struct_fields__ if f"`{field}`" not in section] == []

@@ -80,7 +80,7 @@ def test_a_preview_fits_only_what_it_is_of(session):
     wet = scene.with_member("layers/road", wet_sh=scene.member("layers/road").gaussians.sh)
     assert view.is_of(shot.camera, 1.0, wet)  # views are clear, and nothing moves
     assert not view.is_of(shot.camera, 0.0, scene.with_member("layers/road", visible=False))
-    session.navigation.dolly(1.0)
+    session.dolly(1.0)
     assert not view.is_of(session.shot(96, 64).camera, 0.0, scene)
     assert view.is_made_by(Recipe("wet", TransferSettings()))
     assert not view.is_made_by(Recipe("wet", TransferSettings(seed=1)))

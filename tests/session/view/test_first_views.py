@@ -108,6 +108,21 @@ def test_both_of_two_far_clusters_are_framed_but_not_a_small_one():
     assert small.high[0] < 1.1 and small.shell is None
 
 
+def test_f_frames_the_layer_that_is_chosen():
+    """A large layer of few Gaussians around a small one of many: the scene's core is the small one."""
+    document = ViewedDocument(scene_of(blob(cube(3000, side=0.3)), blob(cube(300, at=(40, 0, 0), side=30), sigma=1)))
+    document.frame_scene()
+    assert document.navigation.distance_m < 2
+    document.view.member = document.scene.layers[1].key
+    document.frame_scene()
+    eye = document.navigation
+    assert 15 < eye.distance_m < 100
+    assert np.linalg.norm(eye.position + eye.distance_m * eye.forward - [40, 0, 0]) < 3
+    document.view.member = "layers/none"
+    document.frame_scene()
+    assert document.navigation.distance_m < 2
+
+
 PLACES = {
     "far away": (np.array([4e4, -3e4, 500.0]), 2.0, 0.3),
     "outside of the dome, looking away": (np.array([90.0, 0, 5]), 0.0, 0.0),
