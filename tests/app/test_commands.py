@@ -252,7 +252,26 @@ def test_doctor_finds_what_it_needs(tmp_path, capsys):
     ):
         is_there = find_spec(module.partition(".")[0]) is not None and find_spec(module) is not None
         assert found[package]["found"] == is_there
-        assert is_there or f"pip install 'gsrain[{extra}]'" in found[package]["what"]
+        assert is_there or found[package]["what"].endswith(doctor.how_to_add(extra))
+
+
+@pytest.mark.parametrize(
+    ("mark", "line"),
+    [
+        (None, "'/a b/python' -m pip install 'gsrain[drive]'"),
+        ("pipx_metadata.json", "pipx runpip gsrain install 'gsrain[drive]'"),
+        ("uv-receipt.toml", "uv pip install --python '/a b/python' 'gsrain[drive]'"),
+    ],
+)
+def test_doctor_adds_extras_to_the_environment_it_runs_in(mark, line, tmp_path, monkeypatch):
+    """A bare `pip` is another environment's: it finds no gsrain, and on Debian it refuses to install anything."""
+    environment = tmp_path / "gsrain"
+    environment.mkdir()
+    if mark is not None:
+        (environment / mark).touch()
+    monkeypatch.setattr(sys, "prefix", str(environment))
+    monkeypatch.setattr(sys, "executable", "/a b/python")
+    assert doctor.how_to_add("drive") == line
 
 
 def test_doctor_tests_the_order_of_splats(tmp_path, monkeypatch, capsys):
