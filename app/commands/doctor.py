@@ -158,8 +158,9 @@ def _threads() -> Finding:
 
         count(np.ones(8))
         name = numba.threading_layer()
-        slow = "" if name != "workqueue" else " (kernels run one at a time: apt-get install libgomp1 for better)"
-        return f"Numba {numba.__version__}, {name}, {numba.get_num_threads()} threads{slow}"
+        if name == "workqueue":  # Numba's own, which aborts the process
+            raise RuntimeError("libgomp is missing: two threads that draw at once would end the program.")
+        return f"Numba {numba.__version__}, {name}, {numba.get_num_threads()} threads"
 
     return _tried("compiled kernels", layer, "On Debian: apt-get install libgomp1")
 

@@ -9,6 +9,7 @@ import sys
 from importlib.util import find_spec
 
 import av
+import numba
 import numpy as np
 import pytest
 from PIL import Image
@@ -272,6 +273,16 @@ def test_doctor_adds_extras_to_the_environment_it_runs_in(mark, line, tmp_path, 
     monkeypatch.setattr(sys, "prefix", str(environment))
     monkeypatch.setattr(sys, "executable", "/a b/python")
     assert doctor.how_to_add("drive") == line
+
+
+def test_doctor_names_libgomp_where_it_is_missing(tmp_path, monkeypatch, capsys):
+    """Numba then takes its own workqueue, which aborts where two threads use kernels at once."""
+    monkeypatch.setattr(numba, "threading_layer", lambda: "workqueue")
+    monkeypatch.setattr(doctor, "find_depth_order", list)
+    assert run(["doctor", "--json", str(tmp_path / "doctor.json")]) == 1
+    kernels = json.loads((tmp_path / "doctor.json").read_text())["compiled kernels"]
+    assert not kernels["found"]
+    assert kernels["what"].startswith("libgomp is missing") and "apt-get install libgomp1" in kernels["what"]
 
 
 def test_doctor_tests_the_order_of_splats(tmp_path, monkeypatch, capsys):
