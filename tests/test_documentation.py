@@ -12,7 +12,10 @@ from cyclopts import CycloptsError, UnknownCommandError, UnknownOptionError
 from app.command_line import COMMANDS, app, benchmarks, evaluations
 from conftest import REPOSITORY
 from documentation import PAGES, anchors_of, commands_of, links_of, text_of
+from ui.actions import ACTIONS
 from ui.panels.table import PANELS
+from ui.shortcuts import chord_name
+from ui.tools import TOOLS
 
 OF_EXTENSIONS = {("evaluate", "contrast"), ("evaluate", "NAME")}
 """Commands that docs/extending.md adds."""
@@ -64,6 +67,20 @@ def test_every_panel_has_its_picture_on_the_page_of_all_panels():
         picture = panel.title.lower().replace(" ", "_").replace("-", "_")
         assert f"![{panel.title}](../images/panel_{picture}.jpg)" in page
         assert f"**{panel.title}**" in page
+
+
+def test_keys_of_the_pages_are_those_of_the_window():
+    chords = {name for action in ACTIONS for name in re.split(r", | or ", action.key_names)}
+    tools = {tool.name: chord_name(int(tool.key)) if tool.key is not None else "" for tool in TOOLS}
+    pages = {page: text_of(page) for page in PAGES if page.parts[0] == "docs"}
+    named = [
+        each for text in pages.values() for each in re.findall(r"(?:(?:Ctrl|Shift|Alt)\+)+(?:[A-Z]\w*|[][]|F\d+)", text)
+    ]
+    assert len(named) > 20 and set(named) <= chords
+    rows = [
+        row for text in pages.values() for row in re.findall(r"^\| (\w[\w ]*?)(?: \((\w)\))? \|", text, re.MULTILINE)
+    ]
+    assert {name: key for name, key in rows if name in tools} == tools
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,12 @@
 """`gsrain doctor`: what this machine has, what is missing, and how to get it."""
 
 import importlib.util
+import shlex
 import sys
 from collections.abc import Callable
 from functools import partial
 from importlib import metadata
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -156,8 +158,9 @@ def _threads() -> Finding:
 
         count(np.ones(8))
         name = numba.threading_layer()
-        slow = "" if name != "workqueue" else " (kernels run one at a time: apt-get install libgomp1 for better)"
-        return f"Numba {numba.__version__}, {name}, {numba.get_num_threads()} threads{slow}"
+        if name == "workqueue":  # Numba's own, which aborts the process
+            raise RuntimeError("libgomp is missing: two threads that draw at once would end the program.")
+        return f"Numba {numba.__version__}, {name}, {numba.get_num_threads()} threads"
 
     return _tried("compiled kernels", layer, "On Debian: apt-get install libgomp1")
 
@@ -173,8 +176,20 @@ def _package(name: str, purpose: str, extra: str) -> Finding:
     try:
         return Finding(name, True, f"{metadata.version(name)}, for {purpose}")
     except metadata.PackageNotFoundError:
-        remedy = "needs GSRAIN installed by pip, with" if is_frozen() else "pip install"
-        return Finding(name, False, f"not installed; for {purpose}: {remedy} 'gsrain[{extra}]'")
+        return Finding(name, False, f"not installed; for {purpose}: {how_to_add(extra)}")
+
+
+def how_to_add(extra: str) -> str:
+    """Return the line that adds an extra to the environment in which this program runs, made by pip, pipx or uv."""
+    requirement, environment = f"'gsrain[{extra}]'", Path(sys.prefix)
+    if is_frozen():
+        return f"needs GSRAIN installed by pip, with {requirement}"
+    if (environment / "pipx_metadata.json").is_file():
+        return f"pipx runpip {environment.name} install {requirement}"
+    python = shlex.quote(sys.executable)
+    if (environment / "uv-receipt.toml").is_file():
+        return f"uv pip install --python {python} {requirement}"
+    return f"{python} -m pip install {requirement}"
 
 
 def _cuda() -> Finding:

@@ -9,6 +9,7 @@ import sys
 from importlib.util import find_spec
 
 import av
+import numba
 import numpy as np
 import pytest
 from PIL import Image
@@ -252,7 +253,36 @@ def test_doctor_finds_what_it_needs(tmp_path, capsys):
     ):
         is_there = find_spec(module.partition(".")[0]) is not None and find_spec(module) is not None
         assert found[package]["found"] == is_there
-        assert is_there or f"pip install 'gsrain[{extra}]'" in found[package]["what"]
+        assert is_there or found[package]["what"].endswith(doctor.how_to_add(extra))
+
+
+@pytest.mark.parametrize(
+    ("mark", "line"),
+    [
+        (None, "'/a b/python' -m pip install 'gsrain[drive]'"),
+        ("pipx_metadata.json", "pipx runpip gsrain install 'gsrain[drive]'"),
+        ("uv-receipt.toml", "uv pip install --python '/a b/python' 'gsrain[drive]'"),
+    ],
+)
+def test_doctor_adds_extras_to_the_environment_it_runs_in(mark, line, tmp_path, monkeypatch):
+    """A bare `pip` is another environment's: it finds no gsrain, and on Debian it refuses to install anything."""
+    environment = tmp_path / "gsrain"
+    environment.mkdir()
+    if mark is not None:
+        (environment / mark).touch()
+    monkeypatch.setattr(sys, "prefix", str(environment))
+    monkeypatch.setattr(sys, "executable", "/a b/python")
+    assert doctor.how_to_add("drive") == line
+
+
+def test_doctor_names_libgomp_where_it_is_missing(tmp_path, monkeypatch, capsys):
+    """Numba then takes its own workqueue, which aborts where two threads use kernels at once."""
+    monkeypatch.setattr(numba, "threading_layer", lambda: "workqueue")
+    monkeypatch.setattr(doctor, "find_depth_order", list)
+    assert run(["doctor", "--json", str(tmp_path / "doctor.json")]) == 1
+    kernels = json.loads((tmp_path / "doctor.json").read_text())["compiled kernels"]
+    assert not kernels["found"]
+    assert kernels["what"].startswith("libgomp is missing") and "apt-get install libgomp1" in kernels["what"]
 
 
 def test_doctor_tests_the_order_of_splats(tmp_path, monkeypatch, capsys):

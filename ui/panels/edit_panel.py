@@ -58,7 +58,10 @@ def _selection(session: Session) -> None:
     if deleted:
         if imgui.button(f"Remove {deleted:,} deleted for good", ImVec2(-1, 0)):
             session.edit("Remove what is deleted", compact)
-        imgui.set_item_tooltip("Make new arrays without them: frames get faster. Undo still has the old ones.")
+        imgui.set_item_tooltip(
+            "Make new arrays without them, and smaller files. Frames hardly get faster: deleted ones are not drawn.\n"
+            "Undo still has the old ones."
+        )
 
 
 def _member(session: Session, member: Layer | Actor) -> None:

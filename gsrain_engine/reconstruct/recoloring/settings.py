@@ -26,7 +26,8 @@ class RecolorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     robust: bool = True
     """Whether pictures and pixels that disagree with the others count less."""
     memory_mb: Annotated[float, Meta(ge=0, title="Memory", extra={"unit": "MB"})] = 4096.0
-    """Room for stored weights; views beyond it walk their tiles anew each time, three times slower."""
+    """Room for stored weights; views beyond it walk their tiles anew each time. With 0 solving for the street, 24 views
+    640 px wide, took seven times as long, all of it 1.2 times the processor's time, and 0.73 of the memory."""
 
     @property
     def iterations_by_round(self) -> list[int]:

@@ -1,13 +1,17 @@
 """The Frechet distance against closed forms, scipy's matrix root and torchmetrics."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import linalg
 
+from conftest import REPOSITORY
 from gsrain_engine.evaluate.distribution import frechet as module
 from gsrain_engine.evaluate.distribution.frechet import frechet_distance, nuclear_norm, rotated
+from gsrain_engine.evaluate.distribution.kernel_distance import kernel_distance
 
 
 def _set(count, features, seed, shift=0.0, scale=1.0):
@@ -128,3 +132,16 @@ def test_counts_are_copies(n, features):
     counts = tuple(np.bincount(own, minlength=len(each)) for own, each in zip(drawn, (real, fake), strict=True))
     copied = frechet_distance(real[drawn[0]], fake[drawn[1]])
     assert frechet_distance(real, fake, counts) == pytest.approx(copied, rel=1e-9)
+
+
+def test_few_pictures_have_the_distances_that_the_guide_names():
+    """FID of samples of one distribution is not 0 and hangs on their numbers; KID is, and does not."""
+    guide = (REPOSITORY / "docs" / "guide" / "measuring.md").read_text(encoding="utf-8")
+    named = [[float(word) for word in row] for row in re.findall(r"([\d.]+) for (\d+) and (\d+)\b", guide)]
+    random = np.random.default_rng(1)
+    for fid, real, fake in named:
+        pairs = [[random.normal(size=(int(count), 64)) for count in (real, fake)] for _ in range(10)]
+        assert np.mean([frechet_distance(*pair) for pair in pairs]) == pytest.approx(fid, rel=0.05)
+        distances = [kernel_distance(*pair) for pair in pairs]
+        assert abs(np.mean(distances)) < np.std(distances)
+    assert len(named) == 3
