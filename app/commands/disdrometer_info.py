@@ -27,6 +27,9 @@ def disdrometer_info(file: Path, columns: Path | None) -> dict[str, Any]:
     try:
         measured = open_measured(file, columns_of(columns)).measured()
     except UnknownKindError as error:
+        if error.kind is not None:
+            told = f"neither a scene, nor a capture, nor a disdrometer file; it is {error.kind}"
+            raise ValueError(f"{file}: {told}") from None
         raise ValueError(
             str(error).replace(f"{file}: ", f"{file}: no scene and no capture; as measured rain: ", 1)
         ) from None

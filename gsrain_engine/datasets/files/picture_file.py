@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Shaped, UInt8
-from PIL import Image, ImageOps
+from PIL import Image, ImageOps, UnidentifiedImageError
 
+from gsrain_engine.untrusted.file_kinds import kind_of_bytes, kind_of_file
 from gsrain_engine.untrusted.limits import InputError, open_file
 
 from ..capture import CaptureError
@@ -17,6 +18,25 @@ from .expansion import check_expansion
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 """Names of pictures end with one of these, in small or capital letters."""
+
+UNREAD_SUFFIXES = (
+    ".heic",
+    ".heif",
+    ".avif",
+    ".gif",
+    ".jxl",
+    ".dng",
+    ".cr2",
+    ".cr3",
+    ".nef",
+    ".arw",
+    ".raf",
+    ".orf",
+    ".rw2",
+)
+"""Names of pictures that have to be converted first."""
+CONVERT = "of formats that can't be read (convert them to JPEG or PNG)"
+"""Said of pictures whose names end so."""
 
 _MAX_BYTES, _TAIL_BYTES = 1 << 31, 1 << 16
 _JPEG_END, _PNG_END = b"\xff\xd9", b"IEND"
@@ -32,6 +52,15 @@ _EXIF_ORIENTATION, _SIDEWAYS = 0x0112, (5, 6, 7, 8)
 def is_picture(path: Path) -> bool:
     """Whether a name is that of a picture."""
     return path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
+
+
+def unread_pictures_in(folder: Path) -> list[Path]:
+    """Pictures directly in a folder, by name, of formats that can't be read: HEIC of phones, raw files of cameras."""
+    if not folder.is_dir():
+        return []
+    return sorted(
+        file for file in folder.iterdir() if file.suffix.lower() in UNREAD_SUFFIXES and not file.name.startswith(".")
+    )
 
 
 def pictures_in(folder: Path) -> list[Path]:
@@ -107,8 +136,16 @@ def opened_picture(source: Path | bytes, name: str) -> Generator[Image.Image]:
         raise
     except InputError as error:
         raise CaptureError(f"{name}: {error.strerror}") from None
+    except UnidentifiedImageError as error:
+        raise CaptureError(f"{name}: not a readable picture: it is {_what_it_is(source)}") from error
     except Exception as error:  # a damaged picture fails in as many ways as there are formats
-        raise CaptureError(f"{name}: not a readable picture ({error or type(error).__name__})") from None
+        raise CaptureError(f"{name}: not a readable picture: it is damaged, or cut off") from error
+
+
+def _what_it_is(source: Path | bytes) -> str:
+    if isinstance(source, Path):
+        return kind_of_file(source, named_rightly=True) or "of no format that is known"
+    return kind_of_bytes(source) or "of no format that is known"
 
 
 def _eight_bits(values: np.ndarray) -> UInt8[np.ndarray, "h w"]:

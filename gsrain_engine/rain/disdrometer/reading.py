@@ -26,14 +26,15 @@ KNOWN_KINDS = (
 
 
 class UnknownKindError(DisdrometerFileError):
-    """A file of no kind that is known."""
+    """A file of no kind that is known; `kind` says what else it is, where that is plain ("an archive: unpack it")."""
 
-    def __init__(self, path: Path, what: str):
-        ValueError.__init__(
-            self,
-            f"{path}: {printable(what)}; known are {KNOWN_KINDS}; of any other table of text say which column is what, "
-            "by --columns FILE.yaml",
+    def __init__(self, path: Path, what: str, kind: str | None = None):
+        told = (
+            f"{printable(what)}; known are {KNOWN_KINDS}; of any other table of text say which column is what, by "
+            "--columns FILE.yaml"
         )
+        ValueError.__init__(self, f"{path}: {told if kind is None else f'not a disdrometer file; it is {kind}'}")
+        self.kind = kind
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -37,7 +37,7 @@ def gunzip_start(path: Path, data: bytes, size: int) -> bytes:
     try:
         return zlib.decompressobj(wbits=31).decompress(data, size)
     except zlib.error as error:
-        raise SceneFormatError(path, f"the gzip stream is damaged ({error})") from None
+        raise SceneFormatError(path, "the gzip stream is damaged") from error
 
 
 def gunzip(path: Path, data: bytes, at_most: int) -> bytes:
@@ -46,7 +46,7 @@ def gunzip(path: Path, data: bytes, at_most: int) -> bytes:
     try:
         unpacked = stream.decompress(data, at_most + 1)
     except zlib.error as error:
-        raise SceneFormatError(path, f"the gzip stream is damaged ({error})") from None
+        raise SceneFormatError(path, "the gzip stream is damaged") from error
     if len(unpacked) > at_most:
         raise SceneFormatError(path, f"the gzip stream holds more than the {at_most} bytes that the header speaks of")
     if not stream.eof:
@@ -61,7 +61,7 @@ def unzstd(path: Path, data: bytes, size: int, name: str) -> bytes:
         with decompressor.stream_reader(io.BytesIO(data)) as reader:
             unpacked = reader.read(size + 1)
     except zstandard.ZstdError as error:
-        raise SceneFormatError(path, f"the zstd stream of {name} is damaged ({error})") from None
+        raise SceneFormatError(path, f"the zstd stream of {name} is damaged") from error
     if len(unpacked) != size:
         more = "more" if len(unpacked) > size else f"only {len(unpacked)}"
         raise SceneFormatError(path, f"the zstd stream of {name} must hold {size} bytes, it holds {more}")

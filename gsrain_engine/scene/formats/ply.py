@@ -59,7 +59,7 @@ def read_ply(path: Path) -> Gaussians:
         if "vertex" not in elements:
             found = ", ".join(elements) or "none"
             raise SceneFormatError(path, f"a PLY of Gaussians has an element 'vertex', not {found}")
-        return _read_vertices(path, file, elements["vertex"])
+        return _read_vertices(path, file, elements)
 
 
 def write_ply(gaussians: Gaussians, path: Path) -> None:
@@ -75,9 +75,10 @@ def write_ply(gaussians: Gaussians, path: Path) -> None:
             file.write(_rows(gaussians.take(slice(start, start + rows))).data)
 
 
-def _read_vertices(path: Path, file: BufferedReader, vertex: PlyElement) -> Gaussians:
+def _read_vertices(path: Path, file: BufferedReader, elements: dict[str, PlyElement]) -> Gaussians:
+    vertex = elements["vertex"]
     dtype, offset = element_rows(path, vertex)
-    coefficients = _coefficients(path, dtype)
+    coefficients = _coefficients(path, dtype, has_faces="face" in elements)
     n = vertex.rows
     check_room(path, n, coefficients)
     means, scales, quaternions = (np.empty((n, size), np.float32) for size in (3, 3, 4))
@@ -101,12 +102,15 @@ def activate_opacities(logits: Float32[np.ndarray, " n"]) -> None:
     np.reciprocal(logits, out=logits)
 
 
-def _coefficients(path: Path, dtype: "np.dtype[Any]") -> int:
+def _coefficients(path: Path, dtype: "np.dtype[Any]", *, has_faces: bool) -> int:
     """How many spherical harmonics a colour has, from the names of the properties."""
     names = dtype.names or ()
     missing = [name for name in _REQUIRED if name not in names]
     if missing:
-        raise SceneFormatError(path, f"element 'vertex' has no property {', '.join(missing)}: not a PLY of Gaussians")
+        told = f"element 'vertex' has no property {', '.join(missing)}: not a PLY of Gaussians"
+        if not any(name in names for name in (*_BASE_SH, *_SCALES, *_QUATERNIONS)):
+            told += " but a mesh" if has_faces else " but a point cloud"
+        raise SceneFormatError(path, told)
     rest = {name for name in names if re.fullmatch(r"f_rest_\d+", name)}
     expected = {3 * (coefficients - 1): coefficients for coefficients in COEFFICIENTS_OF_DEGREE}
     if len(rest) not in expected or rest != {f"f_rest_{i}" for i in range(len(rest))}:

@@ -70,7 +70,7 @@ def _header_lines(path: Path, file: BinaryIO) -> tuple[list[list[str]], int]:
     mark = start.find(b"\nend_header")
     end = start.find(b"\n", mark + 1)
     if mark < 0 or end < 0 or start[mark:end].strip() != b"end_header":
-        raise SceneFormatError(path, f"the PLY header has no line 'end_header' in its first {_LARGEST_HEADER} bytes")
+        raise SceneFormatError(path, f"the PLY header has no line 'end_header' in its first {len(start)} bytes")
     text = start[:mark].decode("utf-8", errors="replace")
     return [line.split() for line in text.splitlines()[1:]], end + 1
 

@@ -64,7 +64,8 @@ def read_sog(path: Path) -> Gaussians:
     try:
         archive = zipfile.ZipFile(io.BytesIO(data))
     except _ZIP_ERRORS as error:
-        raise SceneFormatError(path, f"not a whole zip file: {error}") from None
+        told = "not a whole zip file: its list of contents, which stands at its end, is missing or damaged"
+        raise SceneFormatError(path, told) from error
     with archive:
         return _decode(path, lambda name, most: _zip_member(path, archive, name, most), len(data))
 
@@ -95,7 +96,7 @@ def _zip_member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> b
         with archive.open(member) as file:
             return file.read(most)
     except _ZIP_ERRORS as error:
-        raise SceneFormatError(path, f"{name} in the zip file is damaged: {error}") from None
+        raise SceneFormatError(path, f"{name} in the zip file is damaged") from error
 
 
 def _decode(path: Path, read: ReadMember, file_bytes: int) -> Gaussians:
