@@ -46,6 +46,8 @@ _LONGEST_PX = 16384
 """A side of a camera's picture, as of all cameras here."""
 _WITH_EXIF = ("JPEG", "MPO", "WEBP", "TIFF")
 """Formats whose turn stands before the pixels: a PNG would have to be read to its end."""
+_BEHIND = "white"
+"""Behind transparent pictures, as viewers and nerfstudio's reader of NeRF's synthetic scenes have it."""
 _EXIF_ORIENTATION, _SIDEWAYS = 0x0112, (5, 6, 7, 8)
 
 
@@ -83,11 +85,17 @@ def picture_size(file: Path, upright: bool = False) -> tuple[int, int]:
 
 
 def read_color(file: Path, upright: bool = False) -> UInt8[np.ndarray, "h w 3"]:
-    """Read a picture as display colour, as the sensor lay unless `upright`; `CaptureError` where it can't be read."""
+    """Read a picture as display colour, as the sensor lay unless `upright`; what is transparent lies over white.
+
+    Raises `CaptureError` where it can't be read.
+    """
     with opened_picture(file, str(file)) as opened:
         picture = ImageOps.exif_transpose(opened) if upright and opened.format in _WITH_EXIF else opened
         if picture.mode.startswith(("I", "F")):
             return np.repeat(_eight_bits(np.asarray(picture))[..., None], 3, axis=2)
+        if picture.has_transparency_data:  # the colours under what can't be looked at are of no account
+            clear = picture.convert("RGBA")
+            picture = Image.alpha_composite(Image.new("RGBA", clear.size, _BEHIND), clear)
         return np.array(picture.convert("RGB"), np.uint8)
 
 
