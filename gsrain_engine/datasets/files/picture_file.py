@@ -144,10 +144,10 @@ def opened_picture(source: Path | bytes, name: str) -> Generator[Image.Image]:
         raise
     except InputError as error:
         raise CaptureError(f"{name}: {error.strerror}") from None
-    except UnidentifiedImageError as error:
-        raise CaptureError(f"{name}: not a readable picture: it is {_what_it_is(source)}") from error
-    except Exception as error:  # a damaged picture fails in as many ways as there are formats
-        raise CaptureError(f"{name}: not a readable picture: it is damaged, or cut off") from error
+    except UnidentifiedImageError:
+        raise CaptureError(f"{name}: not a readable picture: it is {_what_it_is(source)}") from None
+    except Exception:  # a damaged picture fails in as many ways as there are formats
+        raise CaptureError(f"{name}: not a readable picture: it is damaged, or cut off") from None
 
 
 def _what_it_is(source: Path | bytes) -> str:
