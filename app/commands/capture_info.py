@@ -48,7 +48,9 @@ def _checked(capture: Capture) -> tuple[Capture, tuple[PoseCheck, ...]]:
             done = fraction
 
         capture = readable_pictures(capture, show)
-        return capture, check_poses(capture, lambda fraction: show(1.0 + fraction))
+        checks = check_poses(capture, lambda fraction: show(1.0 + fraction))
+        show(2.0)  # also where there is nothing to check poses by
+        return capture, checks
 
 
 def _print(summary: CaptureSummary, kind: str, checks: tuple[PoseCheck, ...], checked: bool) -> None:
@@ -100,8 +102,9 @@ def _cameras(summary: CaptureSummary) -> Table:
     for each in summary.sensors:
         focal = f"{each.focal_px[0]:.1f} {each.focal_px[1]:.1f}"
         size = f"{each.width}x{each.height}"
-        if each.largest_px != (each.width, each.height):
-            size += f" to {each.largest_px[0]}x{each.largest_px[1]}"
+        if each.sizes > 1:
+            (a, b), (c, d) = each.smallest_px, each.largest_px
+            size = f"{a}x{b} to {c}x{d} ({each.sizes} sizes)"
         fov = f"{each.horizontal_fov_deg:.1f} deg"
         table.add_row(each.name or "-", str(each.views), size, focal, fov, each.lens.partition(" ")[0] or "straight")
     return table

@@ -28,6 +28,9 @@ def disdrometer_info(file: Path, columns: Path | None) -> dict[str, Any]:
     try:
         measured = open_measured(file, columns_of(columns)).measured()
     except UnknownKindError as error:
+        if error.kind is not None:
+            told = f"neither a scene, nor a capture, nor a disdrometer file; it is {error.kind}"
+            raise ValueError(f"{file}: {told}") from None
         raise ValueError(f"{file}: {unknown_format(file)}; nor measured rain: {error.problem}") from None
     print_lines("\n".join(measured.lines))
     return measured.numbers()

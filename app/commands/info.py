@@ -6,8 +6,7 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from gsrain_engine.datasets.nearest_kind import nearest_kind
-from gsrain_engine.datasets.open_capture import capture_format
+from gsrain_engine.datasets.open_capture import capture_format, hint
 from gsrain_engine.scene.bounds import bounds
 from gsrain_engine.scene.formats.scene_files import INNER_SCENE
 from gsrain_engine.scene.members import Actor, Layer
@@ -55,10 +54,8 @@ def info(
     if check or overlay is not None:
         raise ValueError(f"{scene}: --check and --overlay are for captures, and this is none that is known")
     if not is_scene and inner is None and Path(scene).is_dir():
-        near = nearest_kind(Path(scene))
-        nearest = f"; nearest is {near}" if near is not None else ""
         told = "neither a scene (scene.json, or meta.json of SOG) nor a capture that is known"
-        raise ValueError(f"{scene}: {told}{nearest}")
+        raise ValueError(f"{scene}: {told}{hint(Path(scene))}")
     if columns is not None or (not is_scene and Path(scene).is_file()):
         write_numbers(json, disdrometer_info(Path(scene), columns))
         return

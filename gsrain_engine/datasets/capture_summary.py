@@ -24,7 +24,11 @@ class SensorSummary:
     """OpenCV's model and its coefficients; empty where lines are straight."""
     exposure_ms: float
     largest_px: tuple[int, int]
-    """Width and height of its largest picture, where the sizes differ; `width` and `height` are those of its first."""
+    """Width and height of its largest picture; `width` and `height` are those of its first."""
+    smallest_px: tuple[int, int]
+    """Width and height of its smallest picture."""
+    sizes: int
+    """How many different sizes its pictures have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +97,9 @@ def _sensor(views: list[View]) -> SensorSummary:
     camera = view.camera
     edges = np.arctan([camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx])
     shown = "" if view.lens is None else ", ".join(f"{value:.3g}" for value in view.lens.coefficients)
+    sizes = sorted(
+        {(each.camera.width, each.camera.height) for each in views}, key=lambda size: (size[0] * size[1], size)
+    )
     return SensorSummary(
         view.sensor,
         len(views),
@@ -102,7 +109,9 @@ def _sensor(views: list[View]) -> SensorSummary:
         float(np.degrees(edges.sum())),
         "" if view.lens is None else f"{view.lens.model} ({shown})",
         camera.exposure_s * 1e3,
-        max(((each.camera.width, each.camera.height) for each in views), key=lambda size: size[0] * size[1]),
+        sizes[-1],
+        sizes[0],
+        len(sizes),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from gsrain_engine.scene.camera import Camera
 
 from .capture import Capture, CaptureError, View
-from .files.picture_file import picture_size, pictures_in, read_color
+from .files.picture_file import CONVERT, picture_size, pictures_in, read_color, unread_pictures_in
 from .named_problems import some_names
 from .nearest_kind import nearest_kind
 
@@ -33,6 +33,10 @@ def read_image_folder(path: Path) -> Capture:
     """Read a folder of pictures; broken ones are left out and named. Raises `CaptureError` where none is whole."""
     near = nearest_kind(path)
     problems = [] if near is None else [f"Read as pictures alone: nearest to the folder is {near}."]
+    unread = unread_pictures_in(_folder(path))
+    if unread:
+        count = f"{len(unread)} more pictures are" if len(unread) > 1 else "1 more picture is"
+        problems.append(f"{count} left out, {CONVERT}: {some_names([file.name for file in unread])}.")
     return capture_without_poses(path, pictures_in(_folder(path)), problems=problems)
 
 

@@ -5,6 +5,11 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
+from gsrain_engine.scene.formats.scene_files import scene_files_in
+
+from .files.picture_file import CONVERT, pictures_in, unread_pictures_in
+from .named_problems import some_names
+
 _LOOKED_AT = 200
 """Entries of a folder that a pattern is held against: what is not among them is not looked for any longer."""
 
@@ -125,7 +130,7 @@ _KINDS = (
         "that is a trained scene: give point_cloud/iteration_*/point_cloud.ply, and its cameras.json as a camera path",
     ),
     _Kind("capture folder", (_Part("cameras.json", ("cameras.json", "images/cameras.json")), _pictures("", "images/"))),
-    _Kind("SOG", (_Part("meta.json", ("meta.json",)), _Part("its pictures (*.webp)", ("*.webp",)))),
+    _Kind("SOG", (_Part("meta.json", ("meta.json",)), _Part("its pictures (*.webp)", ("*.webp",), False))),
 )
 _OPTIONAL = frozenset({"points3D.bin", "sparse", "database.db", "other transforms", "label_2", "cfg_args", "context"})
 """Parts that tell a kind and that nothing needs."""
@@ -138,6 +143,9 @@ def nearest_kind(path: Path) -> str | None:
     """
     if not path.is_dir():
         return None
+    scenes = scene_files_in(path)
+    if scenes and not scenes[0].endswith(".ply"):  # a .ply may be the point cloud of a capture
+        return f"a folder of scenes (give one of the files in it: {', '.join(scenes)})"
     best: tuple[float, _Kind, list[str]] | None = None
     for kind in _KINDS:
         there = [part for part in kind.parts if any(_is_there(path, pattern) for pattern in part.patterns)]
@@ -147,8 +155,11 @@ def nearest_kind(path: Path) -> str | None:
         missing = [part.name for part in kind.parts if part not in there and part.name not in _OPTIONAL]
         if best is None or share > best[0]:
             best = share, kind, missing
+    if best is None and scenes:
+        return f"a folder of scenes (give one of the files in it: {', '.join(scenes)})"
     if best is None:
-        return None
+        unread = [] if pictures_in(path) else unread_pictures_in(path) or unread_pictures_in(path / "images")
+        return f"a folder of pictures {CONVERT}: {some_names([file.name for file in unread])}" if unread else None
     _, kind, missing = best
     lacks = f" without {_and(missing)}" if missing else ""
     return f"{kind.name}{lacks}" + (f" ({kind.advice})" if kind.advice else "")

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gsrain_engine.extensions import CAPTURE_FORMATS, Extension, loaded, say_once
+from gsrain_engine.scene.formats.gaussian_files import format_of
+from gsrain_engine.untrusted.file_kinds import kind_of_file
 
 from .bdd100k import read_bdd100k, recognizes_bdd100k
 from .capture import Capture, CaptureError
@@ -17,6 +19,7 @@ from .files.reading_errors import WRONG_VALUES, what_is_wrong
 from .image_folder import read_image_folder, recognizes_image_folder
 from .kitti.odometry import read_kitti_odometry, recognizes_kitti_odometry
 from .kitti.raw import read_kitti_raw, recognizes_kitti_raw
+from .named_problems import some_names
 from .nearest_kind import nearest_kind
 from .nerfstudio import read_nerfstudio, recognizes_nerfstudio
 from .nuscenes.infos import read_nuscenes_infos, recognizes_nuscenes_infos
@@ -24,6 +27,9 @@ from .nuscenes.reader import read_nuscenes, recognizes_nuscenes
 from .rainsense.reader import read_rainsense, recognizes_rainsense
 from .waymo.records import read_waymo_records, recognizes_waymo_records
 from .waymo.tables import read_waymo_tables, recognizes_waymo_tables
+
+_LOOKED_AT = 50
+"""Folders below one that is no capture, in which captures are looked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,9 +104,46 @@ def _why_not(path: Path) -> str:
         beside = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
         close = difflib.get_close_matches(path.name, beside, n=1)
         return "no such file or folder" + (f"; did you mean {close[0]}?" if close else "")
-    near = nearest_kind(path)
-    nearest = f"; nearest is {near}" if near is not None else ""
-    return f"not a capture that is known{nearest}; expected one of {', '.join(each.name for each in _formats())}"
+    kind = kind_of_file(path) if path.is_file() else None
+    if path.is_file() and format_of(path) is not None:
+        kind = "a file of a scene, or of points"
+    if kind is not None:
+        return f"not a capture; it is {kind}"
+    known = ", ".join(each.name for each in _formats())
+    return f"not a capture that is known{hint(path)}; expected one of {known}"
+
+
+def hint(path: Path) -> str:
+    """End a refusal of a folder: captures below it, the kind that it is nearest to, or folders of pictures below it."""
+    posed, pictures = captures_below(path)
+    near = None if posed else nearest_kind(path)
+    if near is not None:
+        return f"; nearest is {near}"
+    below = some_names([f"{name} ({kind})" for name, kind in posed or pictures])
+    return f"; give a folder in it: {below}" if below else ""
+
+
+def captures_below(path: Path) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+    """Captures one or two folders below one that is none: their paths from there, and their kinds.
+
+    First those with more than pictures, of the first level that has any; then folders of pictures alone.
+    """
+    folders, pictures = [path], list[tuple[str, str]]()
+    for _ in range(2):
+        folders = [each for folder in folders for each in _folders_in(folder)][:_LOOKED_AT]
+        found = [(each.relative_to(path).as_posix(), kind.name) for each in folders if (kind := capture_format(each))]
+        posed = [each for each in found if each[1] != FORMATS[-1].name]
+        if posed:
+            return posed, []
+        pictures += found
+    return [], pictures
+
+
+def _folders_in(folder: Path) -> list[Path]:
+    try:
+        return sorted(each for each in folder.iterdir() if each.is_dir() and not each.name.startswith("."))
+    except OSError:
+        return []
 
 
 def _formats() -> tuple[CaptureFormat, ...]:

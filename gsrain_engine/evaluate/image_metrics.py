@@ -30,9 +30,17 @@ def window() -> Float64[np.ndarray, " k"]:
 def check_pair(first: tuple[int, ...], second: tuple[int, ...], mask: tuple[int, ...] | None) -> None:
     """Raise ValueError for shapes of images and mask that can't be compared."""
     if first != second or len(first) != 3:
-        raise ValueError(f"pictures of one shape (height, width, 3) are compared, not {first} with {second}")
+        raise ValueError(f"pictures of one size are compared, not {_size(first)} with {_size(second)}")
     if mask is not None and mask != first[:2]:
-        raise ValueError(f"the mask is {mask}, the pictures are {first[:2]}")
+        raise ValueError(f"the mask is {_size(mask)}, the pictures are {_size(first)}")
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    """Width and height as people write them, and how many channels where they are not three."""
+    if len(shape) < 2:
+        return f"a row of {shape[0]}" if shape else "a number"
+    channels = "" if shape[2:] in ((), (3,)) else f" with {shape[2]} channels"
+    return f"{shape[1]}x{shape[0]} px{channels}"
 
 
 def psnr(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
@@ -73,7 +81,7 @@ def ssim_map(rendered: Image, truth: Image, mask: Mask | None = None) -> Float64
     """
     check_pair(rendered.shape, truth.shape, None if mask is None else mask.shape)
     if min(rendered.shape[:2]) < WINDOW_PX:
-        raise ValueError(f"SSIM takes pictures of at least {WINDOW_PX} px a side, not {rendered.shape[:2]}")
+        raise ValueError(f"SSIM takes pictures of at least {WINDOW_PX} px a side, not {_size(rendered.shape)}")
     tops = range(0, len(rendered) - 2 * HALF_WINDOW_PX, _BAND_ROWS)
     bands = [slice(top, top + _BAND_ROWS + 2 * HALF_WINDOW_PX) for top in tops]
     return np.concatenate([_similarity(rendered[b], truth[b], None if mask is None else mask[b]) for b in bands])

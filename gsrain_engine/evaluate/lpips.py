@@ -49,8 +49,8 @@ class Lpips(torch.nn.Module):
         Raises ValueError for pictures of different shapes or with a side under 32 px.
         """
         if rendered.shape != truth.shape or min(rendered.shape[:2]) < LEAST_SIZE_PX:
-            shapes = f"{tuple(rendered.shape)} and {tuple(truth.shape)}"
-            raise ValueError(f"LPIPS takes pictures of one shape and at least {LEAST_SIZE_PX} px a side, not {shapes}")
+            sizes = " and ".join(f"{each.shape[1]}x{each.shape[0]}" for each in (rendered, truth))
+            raise ValueError(f"LPIPS takes pictures of one size and at least {LEAST_SIZE_PX} px a side, not {sizes}")
         distance = rendered.new_zeros(())
         for i, (a, b) in enumerate(zip(self.features(rendered), self.features(truth), strict=True)):
             head = getattr(self, f"head_{i}")

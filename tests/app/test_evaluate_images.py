@@ -110,7 +110,7 @@ def test_bad_input_ends_in_one_line(folders, tmp_path, capsys):
         file.rename(other / f"x{file.name}")
     assert "no picture of the one has the name of one of the other" in said(folders[0], other)
     Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(folders[0] / "002.png")
-    assert "002: pictures of one shape" in said(*folders)
+    assert "002: pictures of one size are compared, not 40x30 px with " in said(*folders)
     assert "none.pth: no such file" in said(*folders, "--lpips", tmp_path / "none.pth")
 
 

@@ -160,3 +160,14 @@ def test_a_meta_json_alone_is_no_sog(tmp_path: Path, meta: str, capsys: pytest.C
     assert run(["render", str(folder), "-o", str(tmp_path / "a.png")]) == BAD_INPUT
     error = capsys.readouterr().err
     assert "its meta.json is none of SOG" in error and error.count("\n") == 1
+
+
+def test_sizes_of_all_pictures_of_a_camera_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, size in (("a", (80, 60)), ("b", (60, 64)), ("c", (70, 70)), ("d", (80, 60))):  # the first is neither end
+        Image.new("RGB", size).save(tmp_path / f"{name}.png")
+    assert run(["info", str(tmp_path), "--check", "--json", str(tmp_path / "n.json")]) == 0
+    printed = capsys.readouterr()
+    assert "60x64 to 70x70 (3 sizes)" in printed.out
+    assert "2/2" in printed.err  # the bar ends, also where there is nothing to check
+    [sensor] = json.loads((tmp_path / "n.json").read_text())["sensors"]
+    assert (sensor["width"], sensor["sizes"], sensor["smallest_px"]) == (80, 3, [60, 64])

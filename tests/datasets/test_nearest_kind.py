@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from app.command_line import BAD_INPUT, run
 from colmap_files import write_binary, write_pictures
@@ -13,6 +14,8 @@ from datasets.test_nuscenes import write_nuscenes
 from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.datasets.nearest_kind import nearest_kind
 from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.scene.formats import read_scene
 from mini_drive import MiniDrive
 
 
@@ -63,6 +66,24 @@ def meta_alone(folder: Path) -> Path:
     return folder
 
 
+def scenes_in_a_folder(folder: Path) -> Path:
+    for name in ("cat.splat", "dog.spz", "meta.json", "notes.txt"):
+        (folder / name).write_bytes(b"{}")
+    return folder
+
+
+def iterations(folder: Path) -> Path:
+    for name in ("iteration_7000", "iteration_30000"):
+        (folder / "point_cloud" / name).mkdir(parents=True)
+        (folder / "point_cloud" / name / "point_cloud.ply").write_bytes(b"ply\n")
+    return folder
+
+
+def phone_pictures(folder: Path) -> Path:
+    (folder / "IMG_1.HEIC").write_bytes(b"\0\0\0\x18ftypheic")
+    return folder
+
+
 @pytest.mark.parametrize(
     ("write", "told"),
     [
@@ -74,6 +95,11 @@ def meta_alone(folder: Path) -> Path:
         (colmap_without_images, "COLMAP without images.bin"),
         (cameras_alone, "capture folder without pictures"),
         (meta_alone, "SOG without its pictures (*.webp)"),
+        (scenes_in_a_folder, "a folder of scenes (give one of the files in it: cat.splat, dog.spz)"),
+        (
+            phone_pictures,
+            "a folder of pictures of formats that can't be read (convert them to JPEG or PNG): IMG_1.HEIC",
+        ),
     ],
 )
 def test_the_nearest_kind_is_named(tmp_path: Path, write, told: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -98,3 +124,33 @@ def test_pictures_whose_model_is_incomplete_are_not_opened_without_a_word(tmp_pa
     capture = open_capture(tmp_path)
     assert not capture.has_poses
     assert any("nearest to the folder is COLMAP without images.bin" in each for each in capture.problems)
+
+
+def test_a_folder_too_high_names_the_captures_below_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_sequence(tmp_path / "data" / "drives" / "first")
+    write_pictures(tmp_path / "data" / "thumbs")
+    for path in (tmp_path / "data", tmp_path / "data" / "drives"):
+        name = "drives/first" if path.name == "data" else "first"
+        assert run(["info", str(path)]) == BAD_INPUT
+        assert f"give a folder in it: {name} (KITTI odometry)" in capsys.readouterr().err
+    assert run(["transfer", str(tmp_path), "-o", str(tmp_path / "out")]) == BAD_INPUT
+    assert "give a folder in it: data/thumbs (image folder)" in capsys.readouterr().err
+
+
+def test_pictures_that_can_not_be_read_are_named(tmp_path: Path) -> None:
+    write_pictures(tmp_path)
+    phone_pictures(tmp_path)
+    Image.new("RGB", (8, 8)).save(tmp_path / "small.webp")
+    problems = open_capture(tmp_path).problems
+    assert any("1 more picture is left out" in each and "IMG_1.HEIC" in each for each in problems)
+    assert not any("nearest" in each for each in problems)  # a picture in WebP makes no SOG
+
+
+def test_a_scene_is_asked_for_by_its_name_where_a_folder_holds_some(tmp_path: Path) -> None:
+    with pytest.raises(SceneFormatError, match=r"give one of the files in it: cat.splat, dog.spz$"):
+        read_scene(scenes_in_a_folder(tmp_path))
+
+
+def test_the_last_iteration_of_a_training_is_asked_for(tmp_path: Path) -> None:
+    with pytest.raises(SceneFormatError, match=r"in it: point_cloud/iteration_30000/point_cloud.ply$"):
+        read_scene(iterations(tmp_path))

@@ -67,3 +67,17 @@ def test_only_pictures_are_listed(folder: Path, tmp_path: Path) -> None:
     assert pictures_in(tmp_path / "nowhere") == []
     with pytest.raises(CaptureError, match="no such picture"):
         picture_size(folder / "nowhere.png")
+
+
+def test_what_is_transparent_lies_over_white(folder: Path) -> None:
+    rgba = np.zeros((1, 3, 4), np.uint8)
+    rgba[0] = ((250, 0, 90, 0), (100, 0, 0, 255), (0, 0, 0, 51))  # what nobody can look at has a loud colour
+    Image.fromarray(rgba).save(folder / "clear.png")
+    assert read_color(folder / "clear.png")[0].tolist() == [[255, 255, 255], [100, 0, 0], [204, 204, 204]]
+    gray = Image.fromarray(np.array([[[0, 0], [80, 255]]], np.uint8), "LA")
+    gray.save(folder / "gray.png")
+    assert read_color(folder / "gray.png")[0].tolist() == [[255] * 3, [80] * 3]
+    palette = Image.fromarray(np.array([[0, 1]], np.uint8), "P")
+    palette.putpalette([9, 9, 9, 40, 50, 60])
+    palette.save(folder / "palette.png", transparency=0)
+    assert read_color(folder / "palette.png")[0].tolist() == [[255] * 3, [40, 50, 60]]

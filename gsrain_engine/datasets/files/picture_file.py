@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Shaped, UInt8
-from PIL import Image, ImageOps
+from PIL import Image, ImageOps, UnidentifiedImageError
 
+from gsrain_engine.untrusted.file_kinds import kind_of_bytes, kind_of_file
 from gsrain_engine.untrusted.limits import InputError, open_file
 
 from ..capture import CaptureError
@@ -17,6 +18,25 @@ from .expansion import check_expansion
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 """Names of pictures end with one of these, in small or capital letters."""
+
+UNREAD_SUFFIXES = (
+    ".heic",
+    ".heif",
+    ".avif",
+    ".gif",
+    ".jxl",
+    ".dng",
+    ".cr2",
+    ".cr3",
+    ".nef",
+    ".arw",
+    ".raf",
+    ".orf",
+    ".rw2",
+)
+"""Names of pictures that have to be converted first."""
+CONVERT = "of formats that can't be read (convert them to JPEG or PNG)"
+"""Said of pictures whose names end so."""
 
 _MAX_BYTES, _TAIL_BYTES = 1 << 31, 1 << 16
 _JPEG_END, _PNG_END = b"\xff\xd9", b"IEND"
@@ -26,12 +46,23 @@ _LONGEST_PX = 16384
 """A side of a camera's picture, as of all cameras here."""
 _WITH_EXIF = ("JPEG", "MPO", "WEBP", "TIFF")
 """Formats whose turn stands before the pixels: a PNG would have to be read to its end."""
+_BEHIND = "white"
+"""Behind transparent pictures, as viewers and nerfstudio's reader of NeRF's synthetic scenes have it."""
 _EXIF_ORIENTATION, _SIDEWAYS = 0x0112, (5, 6, 7, 8)
 
 
 def is_picture(path: Path) -> bool:
     """Whether a name is that of a picture."""
     return path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
+
+
+def unread_pictures_in(folder: Path) -> list[Path]:
+    """Pictures directly in a folder, by name, of formats that can't be read: HEIC of phones, raw files of cameras."""
+    if not folder.is_dir():
+        return []
+    return sorted(
+        file for file in folder.iterdir() if file.suffix.lower() in UNREAD_SUFFIXES and not file.name.startswith(".")
+    )
 
 
 def pictures_in(folder: Path) -> list[Path]:
@@ -54,11 +85,17 @@ def picture_size(file: Path, upright: bool = False) -> tuple[int, int]:
 
 
 def read_color(file: Path, upright: bool = False) -> UInt8[np.ndarray, "h w 3"]:
-    """Read a picture as display colour, as the sensor lay unless `upright`; `CaptureError` where it can't be read."""
+    """Read a picture as display colour, as the sensor lay unless `upright`; what is transparent lies over white.
+
+    Raises `CaptureError` where it can't be read.
+    """
     with opened_picture(file, str(file)) as opened:
         picture = ImageOps.exif_transpose(opened) if upright and opened.format in _WITH_EXIF else opened
         if picture.mode.startswith(("I", "F")):
             return np.repeat(_eight_bits(np.asarray(picture))[..., None], 3, axis=2)
+        if picture.has_transparency_data:  # the colours under what can't be looked at are of no account
+            clear = picture.convert("RGBA")
+            picture = Image.alpha_composite(Image.new("RGBA", clear.size, _BEHIND), clear)
         return np.array(picture.convert("RGB"), np.uint8)
 
 
@@ -107,8 +144,16 @@ def opened_picture(source: Path | bytes, name: str) -> Generator[Image.Image]:
         raise
     except InputError as error:
         raise CaptureError(f"{name}: {error.strerror}") from None
-    except Exception as error:  # a damaged picture fails in as many ways as there are formats
-        raise CaptureError(f"{name}: not a readable picture ({error or type(error).__name__})") from None
+    except UnidentifiedImageError:
+        raise CaptureError(f"{name}: not a readable picture: it is {_what_it_is(source)}") from None
+    except Exception:  # a damaged picture fails in as many ways as there are formats
+        raise CaptureError(f"{name}: not a readable picture: it is damaged, or cut off") from None
+
+
+def _what_it_is(source: Path | bytes) -> str:
+    if isinstance(source, Path):
+        return kind_of_file(source, named_rightly=True) or "of no format that is known"
+    return kind_of_bytes(source) or "of no format that is known"
 
 
 def _eight_bits(values: np.ndarray) -> UInt8[np.ndarray, "h w"]:

@@ -15,6 +15,7 @@ from gsrain_engine.rain.disdrometer.rates_only import is_rainsense_intensity, re
 from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError, Reading, SingleDrops, UnknownKindError
 from gsrain_engine.rain.disdrometer.tables import TableColumns, read_table, table_columns
 from gsrain_engine.rain.disdrometer.thies import is_thies, read_thies
+from gsrain_engine.untrusted.file_kinds import kind_of_bytes
 
 __all__ = ["DisdrometerFileError", "Reading", "SingleDrops", "UnknownKindError", "read_disdrometer"]
 
@@ -43,7 +44,7 @@ def read_disdrometer(path: Path, columns: TableColumns | None = None) -> Reading
             raise DisdrometerFileError(path, "the gzip stream ends too early: the NetCDF file in it is cut off")
         return read_netcdf(path, contents.data)
     if not contents.is_text:
-        raise UnknownKindError(path, "neither text nor NetCDF: not a disdrometer file of a kind that is known")
+        raise _unknown_kind(contents, "neither text nor NetCDF")
     return _with_cut(_read_text(path, contents), contents)
 
 
@@ -71,4 +72,11 @@ def _read_text(path: Path, contents: Contents) -> Reading:
     reading = read_by_packages(path, lines)
     if reading is not None:
         return reading
-    raise UnknownKindError(path, "line 1: not a disdrometer file of a kind that is known")
+    raise _unknown_kind(contents, "line 1")
+
+
+def _unknown_kind(contents: Contents, where: str) -> UnknownKindError:
+    """Name the kind that the file is of, where its first bytes say it; else the kinds that can be read."""
+    path = contents.path
+    kind = kind_of_bytes(contents.data, path.suffix.lower())
+    return UnknownKindError(path, f"{where}: not a disdrometer file of a kind that is known", kind)

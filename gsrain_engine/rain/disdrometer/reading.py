@@ -26,11 +26,16 @@ KNOWN_KINDS = (
 
 
 class UnknownKindError(DisdrometerFileError):
-    """A file of no kind that is known; `problem` says so without its name."""
+    """A file of no kind that is known; `problem` says so without its name.
 
-    def __init__(self, path: Path, what: str):
+    `kind` says what else it is, where that is plain ("an archive: unpack it").
+    """
+
+    def __init__(self, path: Path, what: str, kind: str | None = None):
         other = "of any other table of text say which column is what, by --columns FILE.yaml"
-        self.problem = f"{printable(what)}; known are {KNOWN_KINDS}; {other}"
+        known = f"{printable(what)}; known are {KNOWN_KINDS}; {other}"
+        self.problem = known if kind is None else f"not a disdrometer file; it is {kind}"
+        self.kind = kind
         ValueError.__init__(self, f"{path}: {self.problem}")
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import msgspec
 
 from gsrain_engine.datasets.capture import Capture, CaptureError
+from gsrain_engine.datasets.nearest_kind import nearest_kind
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.other_pictures import with_images
 from gsrain_engine.datasets.pixels.moving_masks import read_camera_masks, with_camera_masks
@@ -52,11 +53,14 @@ class ReconstructionTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         if self.masks is not None:
             capture = replace(capture, views=with_camera_masks(capture.views, read_camera_masks(self.masks)))
         if not capture.has_poses:
-            raise CaptureError(
-                f"{self.capture}: nothing tells where the cameras stood; let COLMAP find it, and give its folder"
-            )
+            near = nearest_kind(self.capture)
+            nearest = f"; nearest to this one is {near}" if near is not None else ""
+            told = "nothing tells where the cameras stood; let COLMAP find it, and give its folder"
+            raise CaptureError(f"{self.capture}: {told}{nearest}")
         if len(capture) < 2:
-            raise CaptureError(f"{self.capture}: has {len(capture)} usable views, at least 2 are needed")
+            raise CaptureError(
+                f"{self.capture}: has {len(capture)} usable view{'s' * (not capture.views)}, at least 2 are needed"
+            )
         self.held_out(capture)
         return capture
 

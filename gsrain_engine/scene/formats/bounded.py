@@ -36,8 +36,8 @@ def gunzip_start(path: Path, data: bytes, size: int) -> bytes:
     """First `size` bytes of a gzip stream, fewer where it ends before."""
     try:
         return zlib.decompressobj(wbits=31).decompress(data, size)
-    except zlib.error as error:
-        raise SceneFormatError(path, f"the gzip stream is damaged ({error})") from None
+    except zlib.error:
+        raise SceneFormatError(path, "the gzip stream is damaged") from None
 
 
 def gunzip(path: Path, data: bytes, at_most: int) -> bytes:
@@ -45,8 +45,8 @@ def gunzip(path: Path, data: bytes, at_most: int) -> bytes:
     stream = zlib.decompressobj(wbits=31)
     try:
         unpacked = stream.decompress(data, at_most + 1)
-    except zlib.error as error:
-        raise SceneFormatError(path, f"the gzip stream is damaged ({error})") from None
+    except zlib.error:
+        raise SceneFormatError(path, "the gzip stream is damaged") from None
     if len(unpacked) > at_most:
         raise SceneFormatError(path, f"the gzip stream holds more than the {at_most} bytes that the header speaks of")
     if not stream.eof:
@@ -60,8 +60,8 @@ def unzstd(path: Path, data: bytes, size: int, name: str) -> bytes:
     try:
         with decompressor.stream_reader(io.BytesIO(data)) as reader:
             unpacked = reader.read(size + 1)
-    except zstandard.ZstdError as error:
-        raise SceneFormatError(path, f"the zstd stream of {name} is damaged ({error})") from None
+    except zstandard.ZstdError:
+        raise SceneFormatError(path, f"the zstd stream of {name} is damaged") from None
     if len(unpacked) != size:
         more = "more" if len(unpacked) > size else f"only {len(unpacked)}"
         raise SceneFormatError(path, f"the zstd stream of {name} must hold {size} bytes, it holds {more}")

@@ -4,6 +4,8 @@ import difflib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from gsrain_engine.untrusted.file_kinds import kind_of_file
+
 from ..atomic_files import whole_file
 from ..errors import SceneFormatError
 from ..gaussians import Gaussians
@@ -50,7 +52,7 @@ def writable_suffixes() -> tuple[str, ...]:
 
 def unknown_format(path: Path) -> str:
     """Return what is wrong with the name of a file of no known format, without that name."""
-    return f"no known scene format: the name must end in {_listed(scene_suffixes())}{_slip(path)}"
+    return f"no known scene format: the name must end in {_listed(scene_suffixes())}{_slip(path) or _instead(path)}"
 
 
 def read_gaussians(path: Path) -> Gaussians:
@@ -65,7 +67,13 @@ def read_gaussians(path: Path) -> Gaussians:
         raise SceneFormatError(path, unknown_format(path))
     if path.exists() and not path.is_file():
         raise SceneFormatError(path, "not a file")
-    return row.read(path)
+    try:
+        return row.read(path)
+    except SceneFormatError as error:
+        told = _instead(path) if error.path == path else ""
+        if not told:
+            raise
+        raise SceneFormatError(path, f"{error.problem}{told}") from None
 
 
 def write_gaussians(gaussians: Gaussians, path: Path) -> None:
@@ -121,6 +129,12 @@ def close_match(name: str, known: Sequence[str]) -> str:
 def _slip(path: Path) -> str:
     """Ask for the suffix that a name which belongs to no format may have been meant to end in."""
     return close_match(path.suffix, scene_suffixes()) if format_of(path) is None else ""
+
+
+def _instead(path: Path) -> str:
+    """End a refusal with what the file is, where its first bytes are not of the format that its name says."""
+    kind = kind_of_file(path, named_rightly=format_of(path) is not None) if path.is_file() else None
+    return "" if kind is None else f"; it is {kind}"
 
 
 def _is_written(suffix: str) -> bool:

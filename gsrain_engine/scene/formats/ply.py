@@ -28,6 +28,9 @@ _NORMALS = ("nx", "ny", "nz")
 
 _CHUNK_BYTES = 1 << 18
 """Rows are read and spread over the arrays in pieces that stay in the processor's cache."""
+_CHUNK_LINES = 1024
+_LONGEST_LINE = 1 << 14
+"""Bytes; a Gaussian of SH degree 3 has some 700."""
 _Arrays = tuple[
     Float32[np.ndarray, "n 3"],
     Float32[np.ndarray, "n 3"],
@@ -46,8 +49,8 @@ _SMALLEST_SCALE = np.float32(1e-37)
 def read_ply(path: Path) -> Gaussians:
     """Read a 3DGS PLY of SH degree 0 to 3, or SuperSplat's compressed PLY, which is told from its header.
 
-    Properties may stand in any order and be of any type, in either byte order; those that 3DGS does not know, and other
-    elements, are passed over. Memory: the arrays and one piece of 256 KB.
+    Properties may stand in any order and be of any type, in either byte order or as text; those that 3DGS does not
+    know, and other elements, are passed over. Memory: the arrays and one piece of 256 KB.
 
     Raises:
         SceneFormatError: When the file is damaged or is not a file of Gaussians.
@@ -59,7 +62,7 @@ def read_ply(path: Path) -> Gaussians:
         if "vertex" not in elements:
             found = ", ".join(elements) or "none"
             raise SceneFormatError(path, f"a PLY of Gaussians has an element 'vertex', not {found}")
-        return _read_vertices(path, file, elements["vertex"])
+        return _read_vertices(path, file, elements)
 
 
 def write_ply(gaussians: Gaussians, path: Path) -> None:
@@ -75,18 +78,28 @@ def write_ply(gaussians: Gaussians, path: Path) -> None:
             file.write(_rows(gaussians.take(slice(start, start + rows))).data)
 
 
-def _read_vertices(path: Path, file: BufferedReader, vertex: PlyElement) -> Gaussians:
-    dtype, offset = element_rows(path, vertex)
-    coefficients = _coefficients(path, dtype)
+def _read_vertices(path: Path, file: BufferedReader, elements: dict[str, PlyElement]) -> Gaussians:
+    vertex = elements["vertex"]
+    if vertex.is_text and vertex.dtype is not None:
+        dtype, offset = vertex.dtype, None
+    else:
+        dtype, offset = element_rows(path, vertex)
+    coefficients = _coefficients(path, dtype, has_faces="face" in elements)
     n = vertex.rows
     check_room(path, n, coefficients)
     means, scales, quaternions = (np.empty((n, size), np.float32) for size in (3, 3, 4))
     opacities = np.empty(n, np.float32)
     sh = np.empty((n, coefficients, 3), np.float32)
-    file.seek(offset)
+    if offset is not None:
+        file.seek(offset)
     # Numbers too large for 32 bits become infinite, and are named below.
     with np.errstate(over="ignore", invalid="ignore"):
-        _spread_rows(path, file, dtype, (means, scales, quaternions, opacities, sh))
+        arrays = means, scales, quaternions, opacities, sh
+        if offset is not None:
+            _spread_rows(path, file, dtype, arrays)
+        else:
+            _skip_rows_before(file, elements)
+            _spread_lines(path, file, dtype, arrays)
         check_finite(path, {"logarithm of a scale": scales, "logit of an opacity": opacities})
         np.exp(scales, out=scales)
         activate_opacities(opacities)
@@ -101,12 +114,15 @@ def activate_opacities(logits: Float32[np.ndarray, " n"]) -> None:
     np.reciprocal(logits, out=logits)
 
 
-def _coefficients(path: Path, dtype: "np.dtype[Any]") -> int:
+def _coefficients(path: Path, dtype: "np.dtype[Any]", *, has_faces: bool) -> int:
     """How many spherical harmonics a colour has, from the names of the properties."""
     names = dtype.names or ()
     missing = [name for name in _REQUIRED if name not in names]
     if missing:
-        raise SceneFormatError(path, f"element 'vertex' has no property {', '.join(missing)}: not a PLY of Gaussians")
+        told = f"element 'vertex' has no property {', '.join(missing)}: not a PLY of Gaussians"
+        if not any(name in names for name in (*_BASE_SH, *_SCALES, *_QUATERNIONS)):
+            told += " but a mesh" if has_faces else " but a point cloud"
+        raise SceneFormatError(path, told)
     rest = {name for name in names if re.fullmatch(r"f_rest_\d+", name)}
     expected = {3 * (coefficients - 1): coefficients for coefficients in COEFFICIENTS_OF_DEGREE}
     if len(rest) not in expected or rest != {f"f_rest_{i}" for i in range(len(rest))}:
@@ -139,6 +155,37 @@ def _spread_rows(path: Path, file: BufferedReader, dtype: "np.dtype[Any]", array
         else:
             numbers = np.stack([rows[name] for name in names], axis=1, dtype=np.float32, casting="unsafe")
         spread_rows(numbers, columns, *(array[start : start + len(rows)] for array in arrays))
+
+
+def _skip_rows_before(file: BufferedReader, elements: dict[str, PlyElement]) -> None:
+    """Pass over the lines of elements that stand before the vertices."""
+    for element in elements.values():
+        if element.name == "vertex":
+            return
+        for _ in range(element.rows):
+            if not file.readline(_LONGEST_LINE):
+                return
+
+
+def _spread_lines(path: Path, file: BufferedReader, dtype: "np.dtype[Any]", arrays: _Arrays) -> None:
+    """Copy the numbers of the next lines of text into arrays, piece by piece."""
+    count, names = len(arrays[0]), list(dtype.names or ())
+    columns = np.array([names.index(name) for name in _properties(arrays[4].shape[1])], np.int64)
+    for start in range(0, count, _CHUNK_LINES):
+        lines = [
+            file.readline(_LONGEST_LINE).decode("ascii", "replace") for _ in range(min(_CHUNK_LINES, count - start))
+        ]
+        for number, line in enumerate(lines, start):
+            if len(line.split()) != len(names):
+                found = len(line.split())
+                raise SceneFormatError(
+                    path, f"vertex {number}: {found} numbers in its line, its header lists {len(names)}"
+                )
+        try:
+            numbers = np.loadtxt(lines, np.float64, comments=None, ndmin=2).astype(np.float32)
+        except ValueError:
+            raise SceneFormatError(path, f"vertices {start} to {start + len(lines) - 1}: a word is no number") from None
+        spread_rows(numbers, columns, *(array[start : start + len(lines)] for array in arrays))
 
 
 def _rows(gaussians: Gaussians) -> Float32[np.ndarray, "n p"]:

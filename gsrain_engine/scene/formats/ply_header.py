@@ -15,7 +15,8 @@ _LARGEST_HEADER = 1 << 20
 """Bytes in which `end_header` must come; real headers have 2 KB."""
 _DIGITS = 20
 """Digits of a count that are read: more rows than any file has, and no number that takes long to read."""
-_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+_TEXT = "ascii"
+_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", _TEXT: "<"}
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
     "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
@@ -32,7 +33,9 @@ class PlyElement(NamedTuple):
     dtype: "np.dtype[Any] | None"
     """Fields of a row; None where it has lists, whose rows differ in length."""
     offset: int | None
-    """Byte in the file where its first row begins; None where that can't be known without reading lists."""
+    """Byte in the file where its first row begins; None where that can't be known without reading lists or text."""
+    is_text: bool = False
+    """Whether its rows are lines of text; the fields of a row then only say what stands in which column."""
 
     @property
     def nbytes(self) -> int:
@@ -41,20 +44,27 @@ class PlyElement(NamedTuple):
 
 
 def read_ply_header(path: Path, file: BinaryIO) -> dict[str, PlyElement]:
-    """Read the header of a binary PLY file and check that the file has room for the rows that it lists.
+    """Read the header of a PLY file and check that the file has room for the rows that it lists.
+
+    Of a text (ascii) `file` stands at the first row afterwards.
 
     Raises:
-        SceneFormatError: When the file is no PLY, is text (ascii), has a damaged header, or is shorter than its
-            header says.
+        SceneFormatError: When the file is no PLY, has a damaged header, or is shorter than its header says.
     """
     lines, size = _header_lines(path, file)
-    elements = _elements(path, lines, _byte_order(path, lines), size)
+    kind = _format(path, lines)
+    elements = _elements(path, lines, _BYTE_ORDERS[kind], size)
+    if kind == _TEXT:
+        elements = [element._replace(is_text=True, offset=None) for element in elements]
+        file.seek(size)
     _check_size(path, elements, size, os.fstat(file.fileno()).st_size)
     return {element.name: element for element in elements}
 
 
 def element_rows(path: Path, element: PlyElement) -> tuple["np.dtype[Any]", int]:
     """Layout of an element's rows and the byte where they begin; refuses what lists make unreadable."""
+    if element.is_text:
+        raise SceneFormatError(path, f"element {element.name!r} is text (format ascii), it must be binary")
     if element.dtype is None:
         raise SceneFormatError(path, f"element {element.name!r} has a list property, a Gaussian has only numbers")
     if element.offset is None:
@@ -70,21 +80,19 @@ def _header_lines(path: Path, file: BinaryIO) -> tuple[list[list[str]], int]:
     mark = start.find(b"\nend_header")
     end = start.find(b"\n", mark + 1)
     if mark < 0 or end < 0 or start[mark:end].strip() != b"end_header":
-        raise SceneFormatError(path, f"the PLY header has no line 'end_header' in its first {_LARGEST_HEADER} bytes")
+        raise SceneFormatError(path, f"the PLY header has no line 'end_header' in its first {len(start)} bytes")
     text = start[:mark].decode("utf-8", errors="replace")
     return [line.split() for line in text.splitlines()[1:]], end + 1
 
 
-def _byte_order(path: Path, lines: list[list[str]]) -> str:
+def _format(path: Path, lines: list[list[str]]) -> str:
     formats = [words[1] for words in lines if words[:1] == ["format"] and len(words) > 1]
-    if formats == ["ascii"]:
-        raise SceneFormatError(path, "PLY as text (format ascii) can't be read, binary_little_endian can")
     if len(formats) != 1 or formats[0] not in _BYTE_ORDERS:
         found = ", ".join(formats) or "none"
         raise SceneFormatError(
             path, f"the PLY header must hold one line 'format binary_little_endian 1.0', not {found}"
         )
-    return _BYTE_ORDERS[formats[0]]
+    return formats[0]
 
 
 def _elements(path: Path, lines: list[list[str]], byte_order: str, header_size: int) -> list[PlyElement]:
@@ -123,13 +131,19 @@ def _add_field(path: Path, fields: dict[str, str] | None, name: str, kind: str) 
 
 def _check_size(path: Path, elements: list[PlyElement], header_size: int, file_size: int) -> None:
     """Refuse a file too short for its header; one that is longer exists in the wild (rows cut by editing the count)."""
-    expected = header_size + sum(element.nbytes for element in elements)
+    is_text = any(element.is_text for element in elements)
+    expected = header_size + sum(_text_bytes(element) if is_text else element.nbytes for element in elements)
     rows = ", ".join(f"{element.rows} {element.name}" for element in elements)
     if file_size < expected:
         raise SceneFormatError(
             path,
-            f"the header lists {rows}, which takes {expected} bytes; the file has {file_size}: "
+            f"the header lists {rows}, which takes {'at least ' * is_text}{expected} bytes; the file has {file_size}: "
             "it is cut off or its counts are wrong",
         )
-    if file_size > expected and all(element.dtype is not None for element in elements):
+    if file_size > expected and not is_text and all(element.dtype is not None for element in elements):
         logger.warning("%s: %d bytes follow the rows that the header lists (%s)", path, file_size - expected, rows)
+
+
+def _text_bytes(element: PlyElement) -> int:
+    """Fewest bytes of its rows as text: a digit a number and a sign that ends it, the last one of the file aside."""
+    return max(0, 2 * element.rows * (1 if element.dtype is None else len(element.dtype.names or ())) - 1)

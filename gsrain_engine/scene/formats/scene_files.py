@@ -83,7 +83,24 @@ def _read(path: Path, known: KnownFiles | None) -> Scene:
     told = f"a scene folder holds {SCENE_FILE} and a SOG folder {SOG_FILE}; this has neither"
     if (path / SOG_FILE).is_file():
         told += f" (its {SOG_FILE} is none of SOG: it does not say where the means are)"
-    raise SceneFormatError(path, told)
+    inside = scene_files_in(path)
+    raise SceneFormatError(path, told + (f"; give one of the files in it: {', '.join(inside)}" if inside else ""))
+
+
+def scene_files_in(folder: Path, limit: int = 3) -> list[str]:
+    """Names of scenes in a folder that is none itself, as paths from there, and the last iteration of a 3DGS training.
+
+    At most so many; none where it can't be looked into.
+    """
+    try:
+        names = sorted(each.name for each in folder.iterdir() if each.is_file() and format_of(each) is not None)
+        trained = list(folder.glob("point_cloud/iteration_*/point_cloud.ply"))
+    except OSError:
+        return []
+    trained.sort(key=lambda file: (len(file.parent.name), file.parent.name))
+    found = [name for name in names if name != SOG_FILE]
+    found += [file.relative_to(folder).as_posix() for file in trained[-1:]]
+    return found if len(found) <= limit else [*found[:limit], f"and {len(found) - limit} more"]
 
 
 def _neighbour(path: Path) -> str:

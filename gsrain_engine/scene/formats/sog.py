@@ -60,8 +60,9 @@ def read_sog(path: Path) -> Gaussians:
     data = read_file(path)
     try:
         archive = zipfile.ZipFile(io.BytesIO(data))
-    except _ZIP_ERRORS as error:
-        raise SceneFormatError(path, f"not a whole zip file: {error}") from None
+    except _ZIP_ERRORS:
+        told = "not a whole zip file: its list of contents, which stands at its end, is missing or damaged"
+        raise SceneFormatError(path, told) from None
     with archive:
         return _decode(path, lambda name, most: _zip_member(path, archive, name, most), len(data))
 
@@ -91,8 +92,8 @@ def _zip_member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> b
     try:
         with archive.open(member) as file:
             return file.read(most)
-    except _ZIP_ERRORS as error:
-        raise SceneFormatError(path, f"{name} in the zip file is damaged: {error}") from None
+    except _ZIP_ERRORS:
+        raise SceneFormatError(path, f"{name} in the zip file is damaged") from None
 
 
 def _decode(path: Path, read: ReadMember, file_bytes: int) -> Gaussians:

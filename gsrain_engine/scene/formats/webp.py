@@ -49,8 +49,8 @@ def read_lossless_webp(path: Path, name: str, data: bytes) -> UInt8[np.ndarray, 
     try:
         with Image.open(io.BytesIO(data), formats=("WEBP",)) as image:
             pixels = np.asarray(image.convert("RGBA"))
-    except (OSError, ValueError, SyntaxError, EOFError, MemoryError, Image.DecompressionBombError) as error:
-        raise SceneFormatError(path, f"{name} is damaged: {error}") from None
+    except (OSError, ValueError, SyntaxError, EOFError, MemoryError, Image.DecompressionBombError):
+        raise SceneFormatError(path, f"{name} is damaged") from None
     if pixels.shape != (height, width, 4):
         raise SceneFormatError(path, f"{name} is damaged: {width} x {height} pixels expected, {pixels.shape[:2]} found")
     return pixels.reshape(-1, 4)

@@ -125,9 +125,48 @@ def test_sh_degree_2_has_24_rest_properties(test_data: Path) -> None:
     np.testing.assert_array_equal(gaussians.sh[:, 1, 1], values[:, names.index("f_rest_8")])
 
 
+def write_text(path: Path, ply: Path, rows: slice = slice(None), before: str = "") -> Path:
+    """The same PLY as text, written without our writer; `before` are lines of an element `note` of one number."""
+    names, values = columns_of(ply)
+    note = f"element note {before.count(chr(10))}\nproperty int number\n" * bool(before)
+    properties = "".join(f"property float {name}\n" for name in names)
+    lines = "".join(" ".join(repr(float(value)) for value in row) + "\n" for row in values[rows])
+    head = f"ply\nformat ascii 1.0\n{note}element vertex {len(values)}\n{properties}end_header\n"
+    path.write_text(head + before + lines)
+    return path
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_text_is_read(degree: int, tmp_path: Path) -> None:
+    gaussians = sample_gaussians(2500, degree)  # several pieces of lines
+    write_ply(gaussians, tmp_path / "scene.ply")
+    assert_equal(read_ply(write_text(tmp_path / "text.ply", tmp_path / "scene.ply", before="7\n8\n")), gaussians)
+    whole = (tmp_path / "text.ply").read_bytes()
+    (tmp_path / "text.ply").write_bytes(whole.replace(b"\n", b"\r\n").removesuffix(b"\r\n"))
+    assert_equal(read_ply(tmp_path / "text.ply"), gaussians)
+
+
+def test_bad_text_is_named(ply: Path, tmp_path: Path) -> None:
+    cut = write_text(tmp_path / "cut.ply", ply, slice(-20))
+    with pytest.raises(SceneFormatError, match="vertex 280: 0 numbers in its line, its header lists 62"):
+        read_ply(cut)
+    text = write_text(tmp_path / "word.ply", ply)
+    text.write_bytes(text.read_bytes().replace(b"end_header\n", b"end_header\nhalf ", 1))
+    with pytest.raises(SceneFormatError, match="vertex 0: 63 numbers in its line"):
+        read_ply(text)
+    head, lines = text.read_bytes().split(b"half ", 1)
+    text.write_bytes(head + b"half " + lines.split(b" ", 1)[1])
+    with pytest.raises(SceneFormatError, match="vertices 0 to 299: a word is no number") as error:
+        read_ply(text)
+    assert "convert" not in str(error.value)
+    text.write_bytes(head.replace(b"vertex 300", b"vertex 300000000") + lines)
+    with pytest.raises(SceneFormatError, match="at least .* bytes; the file has .* counts are wrong"):
+        read_ply(text)
+
+
 HEADER_EDITS = {
     "not a PLY": (b"ply\n", b"plx\n", "start with the line 'ply'"),
-    "text": (b"binary_little_endian", b"ascii", "binary_little_endian can"),
+    "text": (b"binary_little_endian", b"ascii", "vertex 0: "),
     "unknown format": (b"binary_little_endian", b"binary_middle_endian", "binary_little_endian 1.0"),
     "no end": (b"end_header", b"end_headed", "no line 'end_header'"),
     "no vertices": (b"element vertex", b"element vortex", "an element 'vertex', not vortex"),
