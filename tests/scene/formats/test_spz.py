@@ -166,15 +166,17 @@ def test_extensions_after_the_gaussians_are_left_unread(tmp_path: Path) -> None:
 
 
 def test_numbers_are_those_of_the_format(tmp_path: Path) -> None:
-    """As Niantic's description has them: log scales in sixteenths from -10, colors of 0.15, harmonics of 1/128."""
+    """As Niantic's description has them, in steps: log scales 1/16 from -10, colors 0.15, harmonics 1/128, turns 511."""
     means = b"".join(struct.pack("<i", value << 8)[1:] for value in (3, -5, 1))
-    body = bytes([51, 0, 255, 51, 160, 0, 255]) + struct.pack("<I", 3 << 30) + bytes([128, 0, 255] * 3)
+    turn = 3 << 30 | 100 << 20 | 50 << 10 | 512 | 25  # w is the largest; x, y and, negative, z
+    body = bytes([51, 0, 255, 51, 160, 0, 255]) + struct.pack("<I", turn) + bytes([128, 0, 255] * 3)
     g = read_bytes(tmp_path, header(3, 1, degree=1, bits=1) + means + body)
     np.testing.assert_array_equal(g.means, [[1.5, 2.5, -0.5]])
     np.testing.assert_allclose(g.opacities, 0.2)
     np.testing.assert_allclose(g.sh[0, 0], [-0.5 / 0.15, 0.5 / 0.15, -0.3 / 0.15], rtol=1e-5)
     np.testing.assert_allclose(g.scales, np.exp([[0, -10, 255 / 16 - 10]]), rtol=1e-6)
-    np.testing.assert_allclose(g.quaternions, [[1, 0, 0, 0]])
+    np.testing.assert_allclose(g.quaternions[0, 1:], np.sqrt(0.5) / 511 * np.array([100, -50, 25]), rtol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(g.quaternions), 1)
     np.testing.assert_allclose(g.sh[0, 1:], np.outer([-1, -1, 1], [0, -1, 127 / 128]))
 
 
