@@ -8,7 +8,8 @@ lines no tracer sees, or in what runs at import, those of its file, and kernels 
 noticed anything run once more without a change: what fails then is no verdict.
 
 Verdicts are lines of a file, written as they come: a second call goes on where the first ended, and `--survivors`
-judges anew those that survived. Tests that were changed are measured anew.
+judges anew those that survived. Tests that were changed are measured anew; where the program has been, remove
+coverage.json.
 """
 
 import argparse
@@ -28,8 +29,11 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from xml.etree import ElementTree
+
+if TYPE_CHECKING:
+    from coverage import Coverage
 
 ROOT = Path(__file__).resolve().parents[1]
 SUBJECTS = (
@@ -80,8 +84,8 @@ _CALLS = {
     "min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "floor": "ceil", "ceil": "floor",
     "sin": "cos", "cos": "sin", "any": "all", "all": "any",
 }  # fmt: skip
-
-
+_BROKEN, _ELSEWHERE = 70, 71
+"""Exit codes: pytest itself has failed; it ran another engine than the copy's."""
 _GUARDS = (ast.Raise, ast.Return, ast.Continue)
 
 
@@ -273,10 +277,10 @@ class Copy:
         sys.stderr.flush()
         child = os.fork()
         if not child:
-            code = 3
+            code = _BROKEN
             try:
                 code = self._run_here(tests, report, data)
-            except BaseException:
+            except BaseException:  # pytest's own end: of objects that nobody has closed, say
                 traceback.print_exc()
             finally:
                 sys.stderr.flush()
@@ -300,22 +304,20 @@ class Copy:
         os.dup2(output, 2)
         sys.path[0] = str(self.folder)
         sys.modules.pop("tests", None)
-        measured = None
-        if data is not None:
+        options = "-q", "-p", "no:cacheprovider", "--no-xvfb", f"--junitxml={report}", "-o", "junit_family=xunit1"
+        if data is None:
+            code = pytest.main([*options, *tests])
+        else:
             from coverage import Coverage
 
             measured = Coverage(data_file=str(data), source=[str(self.folder / "gsrain_engine")], config_file=False)
-            measured.set_option("run:dynamic_context", "test_function")
             measured.start()
-        code = pytest.main(
-            ["-q", "-p", "no:cacheprovider", "--no-xvfb", f"--junitxml={report}", "-o", "junit_family=xunit1", *tests]
-        )
-        if measured is not None:
+            code = pytest.main([*options, *tests], plugins=[LinesByTest(measured)])
             measured.stop()
             measured.save()
         engine = sys.modules.get("gsrain_engine")
         if engine is not None and not Path(engine.__file__).is_relative_to(self.folder):
-            code = 3
+            code = _ELSEWHERE
         sys.stdout.flush()
         return int(code)
 
@@ -323,6 +325,17 @@ class Copy:
         """Let kernels of a folder be compiled anew: Numba looks at a kernel's own file, not at those it calls."""
         for folder in (self.folder / "kernels").glob(f"{Path(file).parent.name}_*"):
             shutil.rmtree(folder)
+
+
+class LinesByTest:
+    """Plugin of pytest that notes lines under the name of the test that runs them, its fixtures among them."""
+
+    def __init__(self, measured: "Coverage") -> None:
+        self._measured = measured
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        """Begin a test."""
+        self._measured.switch_context(nodeid.split("[")[0])
 
 
 class TestChoice:
@@ -363,13 +376,12 @@ class TestChoice:
         for case in cases:
             if _node(case) not in bad and case.find("skipped") is None:
                 self._seconds[_node(case)] = self._seconds.get(_node(case), 0.0) + float(case.get("time", 0))
-        by_function = {_context(name): name for name in self._seconds}
         measured = CoverageData(basename=str(data))
         measured.read()
         for file in measured.measured_files():
             of_file = self._lines.setdefault(str(Path(file).relative_to(copy.folder.resolve())), {})
             for line, contexts in measured.contexts_by_lineno(file).items():
-                if names := {by_function[each] for each in contexts if each in by_function}:
+                if names := set(contexts) & self._seconds.keys():
                     of_file[str(line)] = sorted(names | set(of_file.get(str(line), ())))
 
     def of(self, mutant: Mutant) -> list[str]:
@@ -415,12 +427,6 @@ def _node(case: ElementTree.Element) -> str:
     return f"{file}::{last}::{function}" if last[:1].isupper() else f"{file}::{function}"
 
 
-def _context(name: str) -> str:
-    """A test's name as coverage writes it: module and function."""
-    file, _, function = name.partition("::")
-    return f"{file.removesuffix('.py').replace('/', '.')}.{function.replace('::', '.')}"
-
-
 def judge(mutant: Mutant, choice: TestChoice, copy: Copy) -> Verdict:
     """Apply a mutant to a copy, run its tests there, and take it back."""
     tests = choice.of(mutant)
@@ -439,7 +445,7 @@ def judge(mutant: Mutant, choice: TestChoice, copy: Copy) -> Verdict:
         os.utime(changed, ns=(status.st_atime_ns, status.st_mtime_ns))
         if mutant.has_no_line:
             copy.forget_kernels(mutant.file)
-    if code in (3, 5):
+    if code in (_ELSEWHERE, 5):  # 5: no test found
         raise RuntimeError(f"pytest ended with {code} for {mutant}: {(copy.folder / 'output.txt').read_text()[-2000:]}")
     result = {0: "survived", -signal.SIGKILL: "timeout"}.get(code, "failed")
     failed = [_node(case) for case in cases if _has_failed(case)]

@@ -26,6 +26,11 @@ def _ssim_at(x: np.ndarray, y: np.ndarray, row: int, column: int, mask: np.ndarr
     return luminance * (2 * covariance + 9e-4) / (variance_a + variance_b + 9e-4)
 
 
+def test_the_window_is_a_gaussian_of_sigma_1_5():
+    half = [0.0010284, 0.0075988, 0.0360008, 0.1093607, 0.2130055]  # exp(-n^2 / 4.5) for n = 5..1, over the sum
+    assert window() == pytest.approx([*half, 0.2660117, *half[::-1]], rel=1e-4)
+
+
 def test_psnr_of_known_differences():
     truth = np.full((4, 5, 3), 0.5)
     assert psnr(truth + 0.1, truth) == pytest.approx(20.0)

@@ -166,7 +166,7 @@ def test_extensions_after_the_gaussians_are_left_unread(tmp_path: Path) -> None:
 
 
 def test_numbers_are_those_of_the_format(tmp_path: Path) -> None:
-    """As Niantic's description has them, in steps: log scales 1/16 from -10, colors 0.15, harmonics 1/128, turns 511."""
+    """As Niantic's description has them, in steps: log scales 1/16 from -10, harmonics 1/128, turns 511."""
     means = b"".join(struct.pack("<i", value << 8)[1:] for value in (3, -5, 1))
     turn = 3 << 30 | 100 << 20 | 50 << 10 | 512 | 25  # w is the largest; x, y and, negative, z
     body = bytes([51, 0, 255, 51, 160, 0, 255]) + struct.pack("<I", turn) + bytes([128, 0, 255] * 3)
