@@ -25,6 +25,8 @@ from types import CodeType, ModuleType
 import msgspec
 import platformdirs
 
+from gsrain_engine.untrusted.limits import open_file, read_file
+
 from .atomic_files import whole_file
 from .file_lock import locked
 
@@ -143,9 +145,7 @@ def _package(folder: Path, name: str) -> Iterable[tuple[str, CodeFile]]:
 def _read(file: Path) -> bytes:
     if not file.is_file():
         raise ValueError(f"{file}: no such Python file")
-    if file.stat().st_size > _MAX_BYTES:
-        raise ValueError(f"{file}: has more than {_MAX_BYTES >> 20} MiB, too many for a Python file")
-    return file.read_bytes()
+    return read_file(file, _MAX_BYTES)
 
 
 def _check_size(path: Path, files: Mapping[str, CodeFile]) -> None:
@@ -235,13 +235,13 @@ def _remembered() -> dict[str, str]:
     """Answers of earlier runs; none where the file is missing, damaged, or could have been written by others."""
     path = answers_file()
     try:
-        with path.open("rb") as file:
+        with open_file(path, _MAX_BYTES) as file:
             status = os.fstat(file.fileno())
             by_others = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
             if hasattr(os, "getuid") and (by_others or status.st_uid != os.getuid()):
                 logger.warning("%s: others could have written it, so no answer in it counts", path)
                 return {}
-            return msgspec.json.decode(file.read(_MAX_BYTES), type=_Answers).trusted
+            return msgspec.json.decode(file.read(), type=_Answers).trusted
     except (OSError, msgspec.DecodeError, UnicodeDecodeError):
         return {}
 

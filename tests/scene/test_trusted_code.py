@@ -27,6 +27,7 @@ from gsrain_engine.scene.trusted_code import (
     run_main,
     trust,
 )  # fmt: skip
+from gsrain_engine.untrusted.limits import TooLargeError
 
 
 @pytest.fixture(autouse=True)
@@ -174,7 +175,7 @@ def _code(file, text):
 def test_what_is_too_large_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(trusted_code, "_MAX_BYTES", 100)
     (tmp_path / "driver.py").write_text("#" * 101)
-    with pytest.raises(ValueError, match="too many for a Python file"):
+    with pytest.raises(TooLargeError, match="driver.py: larger than 100 bytes"):
         read_code(tmp_path / "driver.py")
     monkeypatch.setattr(trusted_code, "_MAX_FILES", 1)
     (tmp_path / "driver.py").write_text("import one\nimport two\n")

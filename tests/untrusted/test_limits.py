@@ -350,6 +350,7 @@ ALLOWED = {
     "gsrain_engine/appearance/cyclegan_turbo/sorted_header.py": "puts a file that it has just written in order",
     "gsrain_engine/drive/sweeps/pool_worker.py": "the worker's end: jobs of the program that has started it",
     "app/window_icon.py": "files of the package",
+    "app/command_line.py": "the null device",
     "app/commands/evaluate/lidar_page.py": "a figure that it has just drawn",
 }
 """Files that open others by themselves, and why they may."""

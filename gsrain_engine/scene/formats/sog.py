@@ -42,11 +42,8 @@ ReadMember = Callable[[str, int], bytes]
 
 def is_sog_folder(folder: Path) -> bool:
     """Whether a folder holds the meta.json of SOG: a JSON object that says where the means are, not only that name."""
-    file = folder / _META
     try:
-        if not file.is_file() or file.stat().st_size > _META_BYTES:
-            return False
-        values = json.loads(file.read_bytes())
+        values = json.loads(read_file(folder / _META, _META_BYTES))
     except (OSError, ValueError, RecursionError):
         return False
     return isinstance(values, dict) and "means" in values
