@@ -1,10 +1,14 @@
 """Streaks of known angle, length, width and alpha come back; noise, edges and what moves all the time give none."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from gsrain_engine.datasets.rainsense.sequence import RainSequence
 from gsrain_engine.evaluate.rain_over_picture import cropped, rain_frames
-from gsrain_engine.evaluate.residuals import residual_statistics, residuals
+from gsrain_engine.evaluate.real_rain import evenly_chosen
+from gsrain_engine.evaluate.residuals import RESTLESS_LEVELS, residual_statistics, residuals
 from gsrain_engine.evaluate.streak_statistics import streak_statistics
 from gsrain_engine.evaluate.streaks import FALL_BY_DIAMETER_S, coverage, find_streaks
 from gsrain_engine.rain.rain import Rain
@@ -174,3 +178,30 @@ def test_display_mixing_is_fainter_before_dark():
     )
     assert linear.min() >= 0
     assert 2 < linear.mean() / display.mean() < 8
+
+
+@pytest.mark.parametrize(
+    ("pictures", "spacing_s", "count", "chosen"),
+    [
+        (20, 0.1, 5, [5, 7, 9, 11, 13]),  # 0.2 s apart around the middle, not the 0.4 s that there is room for
+        (20, 0.04, 5, [1, 5, 9, 13, 17]),  # room for 4 pictures, 0.16 s
+        (7, 1.0, 3, [2, 3, 4]),  # a second apart: farther than wanted, one by one
+        (7, 0.13, 3, [1, 3, 5]),  # 0.2 s are 1.5 of these: two
+        (4, 0.1, 9, [0, 1, 2, 3]),
+        (3, 0.0, 3, [0, 1, 2]),
+        (1, 0.0, 5, [0]),
+    ],
+)
+def test_frames_are_chosen_around_the_middle(pictures, spacing_s, count, chosen):
+    times = tuple(3.0 + spacing_s * k for k in range(pictures))
+    camera = Camera.from_fov(64, 48, 60.0, np.eye(4))
+    sequence = RainSequence("made up", 5.0, camera, np.zeros(5), (Path("a.png"),) * pictures, times)
+    assert evenly_chosen(sequence, count) == chosen
+    assert evenly_chosen(sequence, 1) == [(pictures - 1) // 2]
+
+
+def test_nothing_still_has_no_statistics():
+    found = residuals(np.random.default_rng(1).integers(0, 255, (9, 40, 40), np.uint8).astype(np.uint8))
+    assert RESTLESS_LEVELS < 60 and not found.still.any()
+    with pytest.raises(ValueError, match="no pixel stands still"):
+        residual_statistics(found)

@@ -50,6 +50,11 @@ def test_classes_have_the_moments_of_the_law(sizes):
     assert np.mean(diameters**3) == pytest.approx(sizes.expectation(lambda d: d**3), rel=5e-3)
 
 
+def test_a_law_of_nothing_but_mist_lies_at_its_lower_end():
+    """Of it e^-1000 is within 0.1..8 mm: a number that only exists as a logarithm."""
+    assert DropSizes(2.0, 1e-4).mean_mm == pytest.approx(0.1, abs=1e-3)
+
+
 def test_published_velocity_stays_at_its_vertex():
     velocity = VelocityFit(coefficients=(-0.342, 3.379, 0.340))
     at_vertex = 0.340 + 3.379**2 / (4 * 0.342)
