@@ -300,8 +300,10 @@ def test_the_first_address_that_answers_is_spoken_to(monkeypatch):
 
 def test_only_pipes_are_opened_as_pipes(tmp_path, fifo):
     (tmp_path / "a").write_bytes(b"x")
+    before = len(list(Path("/dev/fd").iterdir()))
     with pytest.raises(InputError, match="a: not a pipe"):
         open_pipe(tmp_path / "a", os.O_RDONLY)
+    assert len(list(Path("/dev/fd").iterdir())) == before
     handle = open_pipe(fifo, os.O_RDONLY)
     assert stat.S_ISFIFO(os.fstat(handle).st_mode)
     os.close(handle)

@@ -61,7 +61,9 @@ def test_the_hardest_braking_is_the_largest_deceleration():
 
 def test_the_share_of_the_route_is_the_farthest_that_was_reached():
     steps = [step(i, ego(2.5 * i), completion=c) for i, c in enumerate((0.0, 0.3, 0.25))]
-    assert measured(rollout(steps)).route_completion == 0.3
+    metrics = measured(rollout(steps))
+    assert metrics.route_completion == 0.3
+    assert metrics.mean_speed_m_s == pytest.approx(10.0)  # also of half a second
 
 
 def test_the_least_gap_counts_where_somebody_is_ahead_for_a_while():
