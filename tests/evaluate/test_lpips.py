@@ -12,6 +12,7 @@ torch = pytest.importorskip("torch")
 
 from gsrain_engine.evaluate.lpips import Lpips  # noqa: E402
 from gsrain_engine.evaluate.lpips_weights import (  # noqa: E402
+    CHANNELS,
     PLACE,
     LpipsWeights,
     find_lpips_weights,
@@ -80,6 +81,16 @@ def test_masked_pixels_do_not_count():
     spoilt = np.where(mask[..., None], picture, 0.0)
     assert lpips.distance(spoilt, picture, mask) == 0
     assert lpips.distance(spoilt, picture) > 0
+
+
+@pytest.mark.parametrize(
+    ("network", "sizes", "parameters"), [("alex", (11, 5, 3, 3, 3), 2_469_696), ("vgg", (3,) * 13, 14_714_688)]
+)
+def test_networks_have_as_many_numbers_as_those_of_the_papers(network: str, sizes: tuple[int, ...], parameters: int):
+    """Of torchvision's AlexNet and VGG16 the convolutions; five of them are tapped, at the end of each group."""
+    channels = CHANNELS[network]
+    pairs = zip(channels[:-1], channels[1:], sizes, strict=True)
+    assert sum(before * after * size**2 + after for before, after, size in pairs) == parameters
 
 
 def test_pictures_too_small_are_refused():

@@ -9,8 +9,8 @@ from gsrain_engine.datasets.rainsense.sequence import RainSequence
 from gsrain_engine.evaluate.rain_over_picture import cropped, rain_frames
 from gsrain_engine.evaluate.real_rain import evenly_chosen
 from gsrain_engine.evaluate.residuals import RESTLESS_LEVELS, residual_statistics, residuals
-from gsrain_engine.evaluate.streak_statistics import streak_statistics
-from gsrain_engine.evaluate.streaks import FALL_BY_DIAMETER_S, coverage, find_streaks
+from gsrain_engine.evaluate.streak_statistics import BANDS, streak_statistics
+from gsrain_engine.evaluate.streaks import FALL_BY_DIAMETER_S, StreakTable, coverage, find_streaks
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.scene.camera import Camera, look_at
@@ -57,6 +57,18 @@ def test_exposure_is_told_at_any_distance():
         found = with_streaks(((100, 80), 5, length, width, np.pi / 4 / aspect))
         told.append(find_streaks(found, SKY).exposure_s[0])
     np.testing.assert_allclose(told, FALL_BY_DIAMETER_S * aspect, rtol=0.1)
+
+
+def test_opacity_and_exposure_of_measured_sizes():
+    """Worked out by hand: 13^2 - 5^2 = 12^2, and a coverage of 9 pi px^2; then one that is all blur."""
+    sizes = {"length_px": [13.0, 4.0], "width_px": [5.0, 5.0], "coverage_px2": [9 * np.pi, 1.0]}
+    others = {name: np.zeros(2) for name in ("angle_deg", "rise_levels", "background_levels")}
+    table = StreakTable(
+        frame=np.zeros(2, np.int64), center_px=np.zeros((2, 2)), **others,
+        **{name: np.array(values) for name, values in sizes.items()},
+    )  # fmt: skip
+    assert table.exposure_s == pytest.approx([FALL_BY_DIAMETER_S * 12 / 6, 0])
+    assert table.opacity == pytest.approx([9 * np.pi / 65, 1 / 20])
 
 
 def test_noise_alone_gives_no_streaks():
@@ -131,6 +143,7 @@ def test_statistics_count_what_the_band_holds():
     assert sum(statistics.length_histogram) == sum(statistics.angle_histogram) == 2
     assert statistics.length_histogram[2] == 1  # 20..30 px
     assert statistics.angle_deg[1] == pytest.approx(10, abs=2.5)
+    assert [high for _, high in BANDS[:-1]] == [low for low, _ in BANDS[1:]]  # each pixel is in one of them
     brighter = streak_statistics(bright, darker, found, (64, 96))
     assert brighter.streaks == brighter.per_megapixel == 0
     assert np.isnan(brighter.length_px).all()

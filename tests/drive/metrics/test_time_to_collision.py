@@ -22,6 +22,11 @@ def test_bumper_gap_over_closing_speed():
     assert _ttc([user(21.0, speed=4.0)]) == pytest.approx(16 / 6)
 
 
+def test_bumpers_that_touch_have_no_time_left_at_any_speed():
+    assert _ttc([user(5.0, speed=10.0)]) == _ttc([user(5.0, speed=12.0)], distance="center") == 0.0
+    assert _ttc([user(5.001, speed=12.0)]) == 10.0
+
+
 def test_middles_are_farther_apart_than_bumpers():
     assert _ttc([user(21.0, speed=4.0)], distance="center") == pytest.approx((21 - 1) / 6)
 

@@ -259,6 +259,12 @@ def test_a_sensor_without_fall_speeds(tmp_path: Path):
             lambda each: each.assign_attrs(sensor_name="LPM"),
             "diameter_bin_lower: its classes are not those of the sensor",
         ),
+        (
+            lambda each: each.assign_coords(
+                {f"diameter_bin_{end}": each[f"diameter_bin_{end}"] + 0.05 for end in ("lower", "upper")}
+            ),
+            "diameter_bin_lower: its classes are not those of the sensor",
+        ),
         (lambda each: each.drop_vars("velocity_bin_lower"), "velocity_bin_lower is missing: the bounds of the classes"),
         (
             lambda each: each.assign_coords(diameter_bin_lower=-each.diameter_bin_lower),
