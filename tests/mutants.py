@@ -54,14 +54,17 @@ TESTS = (
     "tests/drive/hugsim/test_pipes.py",
     "tests/evaluate/test_image_metrics.py",
     "tests/evaluate/test_lpips.py",
+    "tests/evaluate/test_lpips_loss.py",
     "tests/evaluate/test_share_interval.py",
     "tests/evaluate/test_streaks.py",
+    "tests/evaluate/detection/test_summary.py",
     "tests/untrusted",
     "tests/fuzz/test_limits.py",
     "tests/fuzz/test_settings_limits.py",
     "tests/fuzz/test_settings_values.py",
     "tests/app/test_calibrate_command.py",
     "tests/app/test_disdrometer_command.py",
+    "tests/app/test_evaluate_images.py",
     "tests/app/test_marked_scenes.py",
 )
 """Tests that may notice a change."""

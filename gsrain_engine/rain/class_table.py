@@ -16,8 +16,8 @@ LOWEST_MM_H = 0.02
 """Fainter rain has the drops of this."""
 
 _RATIO = 1.2
-"""From node to node. Straight lines between them miss a diameter by 0.04 % outside a calibration's rows; between those of
-the paper at 8.5 and 12 mm/h, whose laws differ most, the median class by 0.4 % and the smallest drops by 3 %.
+"""From node to node. Straight lines between them miss a diameter by 0.04 % outside the calibration; between
+the paper's rows at 8.5 and 12 mm/h, whose laws differ most, the median class by 0.4 % and the smallest drops by 3 %.
 """
 
 _KEPT = 96

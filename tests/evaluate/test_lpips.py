@@ -74,6 +74,18 @@ def test_the_distance_is_the_formula_of_the_paper():
     assert [each.shape[1] for each in lpips.features(first)] == [64, 32, 16, 8, 4]
 
 
+@pytest.mark.parametrize("channel", [None, 0, 1, 2])
+def test_colors_count_from_imagenets_mean_in_its_deviations(channel: int | None):
+    """A picture of the mean color is nothing to the first convolution; a deviation more in a channel is 1 there."""
+    weights = random_weights("alex", divisor=16)
+    color = np.array([0.485, 0.456, 0.406])
+    if channel is not None:
+        color[channel] += (0.229, 0.224, 0.225)[channel]
+    first = Lpips(weights).features(torch.tensor(np.broadcast_to(color, (64, 64, 3)).copy(), dtype=torch.float32))[0]
+    added = 0 if channel is None else weights.kernels[0][:, channel].sum(axis=(1, 2))
+    assert first[:, 5, 5].numpy() == pytest.approx(np.maximum(weights.biases[0] + added, 0), abs=1e-5)
+
+
 def test_masked_pixels_do_not_count():
     lpips = Lpips(random_weights("alex", divisor=16))
     picture, mask = _picture(), np.ones((64, 64), bool)

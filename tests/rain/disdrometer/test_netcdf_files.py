@@ -134,17 +134,30 @@ def test_single_drops(tmp_path: Path):
     assert "its diameter in mm is nan" in reading.skipped[0] and "its speed in m/s is -1.0" in reading.skipped[1]
 
 
-def test_joss_waldvogel(tmp_path: Path):
-    path = tmp_path / "file.cdf"
-    xr.Dataset(
+def joss_waldvogel_dataset(middles: list[float], widths: list[float]) -> xr.Dataset:
+    return xr.Dataset(
         {
             "num_drop": (("time", "drop_class"), [[10.0, 5.0], [0.0, 0.0]]),
-            "mean_diam_drop_class": ("drop_class", [0.359, 0.455]),
-            "delta_diam": ("drop_class", [0.092, 0.1]),
+            "mean_diam_drop_class": ("drop_class", middles),
+            "delta_diam": ("drop_class", widths),
             "rain_rate": ("time", [0.03, -9999.0], {"units": "mm/hr"}),
         },
         coords={"time": TIMES[:2]},
-    ).to_netcdf(path, engine="scipy")
+    )
+
+
+@pytest.mark.parametrize(
+    ("middles", "widths"), [([0.359, 12.0], [0.092, 20.0]), ([0.359, 0.3], [0.092, -0.1]), ([0.01, 0.1], [0.1, 0.1])]
+)
+def test_classes_of_a_joss_waldvogel_that_no_drop_has(tmp_path: Path, middles: list[float], widths: list[float]):
+    path = tmp_path / "file.cdf"
+    joss_waldvogel_dataset(middles, widths).to_netcdf(path, engine="scipy")
+    assert refusal(path) == "delta_diam: the diameter classes must rise within 0 to 20 mm"
+
+
+def test_joss_waldvogel(tmp_path: Path):
+    path = tmp_path / "file.cdf"
+    joss_waldvogel_dataset([0.359, 0.455], [0.092, 0.1]).to_netcdf(path, engine="scipy")
     spectra = read_disdrometer(path).spectra
     assert spectra.velocity_edges_m_s is None
     np.testing.assert_allclose(spectra.diameter_edges_mm, [0.313, 0.405, 0.505])
