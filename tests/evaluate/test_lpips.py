@@ -109,6 +109,9 @@ def test_pictures_too_small_are_refused():
     lpips = Lpips(random_weights("alex", divisor=16))
     with pytest.raises(ValueError, match="at least 32 px"):
         lpips(torch.zeros(31, 40, 3), torch.zeros(31, 40, 3))
+    with pytest.raises(ValueError, match="of one shape"):
+        lpips(torch.zeros(40, 41, 3), torch.zeros(40, 40, 3))
+    assert lpips(torch.zeros(32, 32, 3), torch.zeros(32, 32, 3)) == 0
 
 
 def test_our_own_file_comes_back_and_is_found(alex: LpipsWeights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

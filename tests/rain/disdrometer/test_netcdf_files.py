@@ -249,6 +249,16 @@ def test_sums_that_roll_on_count_each_drop_once(tmp_path: Path):
     assert reading.skipped == ("record 2 (2024-05-01T00:02:00.000): it overlaps the one before (sums that roll on)",)
 
 
+def test_a_sensor_with_classes_of_its_own(tmp_path: Path):
+    path = tmp_path / "L1.nc"
+    disdrodb_dataset(sensor="PWS100").to_netcdf(path, engine="h5netcdf")
+    spectra = read_disdrometer(path).spectra
+    assert spectra.instrument == "Campbell PWS100"
+    np.testing.assert_array_equal(spectra.counts, np.stack([rain(), DRY, rain()])[:, 2:25, :26])
+    np.testing.assert_allclose(spectra.velocity_edges_m_s, VELOCITY_EDGES_M_S[:27])
+    np.testing.assert_array_equal(spectra.area_m2, 0.004)
+
+
 def test_a_sensor_without_fall_speeds(tmp_path: Path):
     path = tmp_path / "L1.nc"
     whole = disdrodb_dataset(sensor="RD80").drop_vars("drop_number")
