@@ -16,7 +16,9 @@ LOWEST_MM_H = 0.02
 """Fainter rain has the drops of this."""
 
 _RATIO = 1.2
-"""From node to node. Straight lines between them miss a diameter by 0.07 % at most."""
+"""From node to node. Straight lines between them miss a diameter by 0.04 % outside the calibration; between
+the paper's rows at 8.5 and 12 mm/h, whose laws differ most, the median class by 0.4 % and the smallest drops by 3 %.
+"""
 
 _KEPT = 96
 """Nodes that are kept, 256 kB each; from 0.02 to 100 mm/h are 48."""

@@ -26,6 +26,11 @@ def _ssim_at(x: np.ndarray, y: np.ndarray, row: int, column: int, mask: np.ndarr
     return luminance * (2 * covariance + 9e-4) / (variance_a + variance_b + 9e-4)
 
 
+def test_the_window_is_a_gaussian_of_sigma_1_5():
+    half = [0.0010284, 0.0075988, 0.0360008, 0.1093607, 0.2130055]  # exp(-n^2 / 4.5) for n = 5..1, over the sum
+    assert window() == pytest.approx([*half, 0.2660117, *half[::-1]], rel=1e-4)
+
+
 def test_psnr_of_known_differences():
     truth = np.full((4, 5, 3), 0.5)
     assert psnr(truth + 0.1, truth) == pytest.approx(20.0)
@@ -71,10 +76,44 @@ def test_what_the_mask_leaves_out_changes_nothing():
     assert ssim_map(x, y, mask)[3, 15, 0] == pytest.approx(expected, rel=1e-9)
 
 
+def test_the_smallest_picture_has_one_window():
+    x, y = _pictures(11, 11)
+    assert ssim_map(x, y).shape == (1, 1, 3)
+    assert ssim_map(x, y)[0, 0, 1] == pytest.approx(_ssim_at(x[..., 1], y[..., 1], 0, 0), rel=1e-9)
+    for short in (np.s_[:10], np.s_[:, :10]):
+        with pytest.raises(ValueError, match="at least 11"):
+            ssim(x[short], y[short])
+
+
+def test_ssim_is_the_mean_over_the_middles_that_the_mask_leaves():
+    x, y = _pictures()
+    mask = np.zeros(x.shape[:2], bool)
+    mask[8, 9] = mask[12, 20] = True
+    similarity = ssim_map(x, y, mask)
+    assert ssim(x, y, mask) == pytest.approx((similarity[3, 4] + similarity[7, 15]).mean() / 2, rel=1e-12)
+    assert ssim(x, y) == pytest.approx(ssim_map(x, y).mean(), rel=1e-12)
+    assert np.isfinite(similarity).all()  # also far from the mask, where nothing is left of a window
+    mask[:] = False
+    mask[4, :] = mask[:, 4] = True  # no window has its middle so near the edge
+    with pytest.raises(ValueError, match="no pixel"):
+        ssim(x, y, mask)
+
+
+def test_a_speck_at_the_rim_of_a_window_counts_fully():
+    """Without others there is neither variance nor covariance: what is left is the luminance term."""
+    x, y = _pictures(11, 11)
+    mask = np.zeros((11, 11), bool)
+    mask[0, 5] = True  # weight 0.0010 x 0.266
+    expected = (2 * x[0, 5] * y[0, 5] + 1e-4) / (x[0, 5] ** 2 + y[0, 5] ** 2 + 1e-4)
+    assert ssim_map(x, y, mask)[0, 0] == pytest.approx(expected, rel=1e-9)
+
+
 def test_pictures_that_cannot_be_compared_are_refused():
     x, y = _pictures()
     with pytest.raises(ValueError, match="one shape"):
         check_pair((24, 31, 3), (23, 31, 3), None)
+    with pytest.raises(ValueError, match="one shape"):
+        check_pair((24, 31), (24, 31), None)
     with pytest.raises(ValueError, match="mask is"):
         check_pair((24, 31, 3), (24, 31, 3), (31, 24))
     with pytest.raises(ValueError, match="at least 11"):

@@ -12,6 +12,7 @@ torch = pytest.importorskip("torch")
 
 from gsrain_engine.evaluate.lpips import Lpips  # noqa: E402
 from gsrain_engine.evaluate.lpips_weights import (  # noqa: E402
+    CHANNELS,
     PLACE,
     LpipsWeights,
     find_lpips_weights,
@@ -73,6 +74,18 @@ def test_the_distance_is_the_formula_of_the_paper():
     assert [each.shape[1] for each in lpips.features(first)] == [64, 32, 16, 8, 4]
 
 
+@pytest.mark.parametrize("channel", [None, 0, 1, 2])
+def test_colors_count_from_imagenets_mean_in_its_deviations(channel: int | None):
+    """A picture of the mean color is nothing to the first convolution; a deviation more in a channel is 1 there."""
+    weights = random_weights("alex", divisor=16)
+    color = np.array([0.485, 0.456, 0.406])
+    if channel is not None:
+        color[channel] += (0.229, 0.224, 0.225)[channel]
+    first = Lpips(weights).features(torch.tensor(np.broadcast_to(color, (64, 64, 3)).copy(), dtype=torch.float32))[0]
+    added = 0 if channel is None else weights.kernels[0][:, channel].sum(axis=(1, 2))
+    assert first[:, 5, 5].numpy() == pytest.approx(np.maximum(weights.biases[0] + added, 0), abs=1e-5)
+
+
 def test_masked_pixels_do_not_count():
     lpips = Lpips(random_weights("alex", divisor=16))
     picture, mask = _picture(), np.ones((64, 64), bool)
@@ -82,10 +95,23 @@ def test_masked_pixels_do_not_count():
     assert lpips.distance(spoilt, picture) > 0
 
 
+@pytest.mark.parametrize(
+    ("network", "sizes", "parameters"), [("alex", (11, 5, 3, 3, 3), 2_469_696), ("vgg", (3,) * 13, 14_714_688)]
+)
+def test_networks_have_as_many_numbers_as_those_of_the_papers(network: str, sizes: tuple[int, ...], parameters: int):
+    """Of torchvision's AlexNet and VGG16 the convolutions; five of them are tapped, at the end of each group."""
+    channels = CHANNELS[network]
+    pairs = zip(channels[:-1], channels[1:], sizes, strict=True)
+    assert sum(before * after * size**2 + after for before, after, size in pairs) == parameters
+
+
 def test_pictures_too_small_are_refused():
     lpips = Lpips(random_weights("alex", divisor=16))
     with pytest.raises(ValueError, match="at least 32 px"):
         lpips(torch.zeros(31, 40, 3), torch.zeros(31, 40, 3))
+    with pytest.raises(ValueError, match="of one shape"):
+        lpips(torch.zeros(40, 41, 3), torch.zeros(40, 40, 3))
+    assert lpips(torch.zeros(32, 32, 3), torch.zeros(32, 32, 3)) == 0
 
 
 def test_our_own_file_comes_back_and_is_found(alex: LpipsWeights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

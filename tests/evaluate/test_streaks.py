@@ -1,12 +1,16 @@
 """Streaks of known angle, length, width and alpha come back; noise, edges and what moves all the time give none."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from gsrain_engine.datasets.rainsense.sequence import RainSequence
 from gsrain_engine.evaluate.rain_over_picture import cropped, rain_frames
-from gsrain_engine.evaluate.residuals import residual_statistics, residuals
-from gsrain_engine.evaluate.streak_statistics import streak_statistics
-from gsrain_engine.evaluate.streaks import FALL_BY_DIAMETER_S, coverage, find_streaks
+from gsrain_engine.evaluate.real_rain import evenly_chosen
+from gsrain_engine.evaluate.residuals import RESTLESS_LEVELS, residual_statistics, residuals
+from gsrain_engine.evaluate.streak_statistics import BANDS, streak_statistics
+from gsrain_engine.evaluate.streaks import FALL_BY_DIAMETER_S, StreakTable, coverage, find_streaks
 from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.scene.camera import Camera, look_at
@@ -53,6 +57,18 @@ def test_exposure_is_told_at_any_distance():
         found = with_streaks(((100, 80), 5, length, width, np.pi / 4 / aspect))
         told.append(find_streaks(found, SKY).exposure_s[0])
     np.testing.assert_allclose(told, FALL_BY_DIAMETER_S * aspect, rtol=0.1)
+
+
+def test_opacity_and_exposure_of_measured_sizes():
+    """Worked out by hand: 13^2 - 5^2 = 12^2, and a coverage of 9 pi px^2; then one that is all blur."""
+    sizes = {"length_px": [13.0, 4.0], "width_px": [5.0, 5.0], "coverage_px2": [9 * np.pi, 1.0]}
+    others = {name: np.zeros(2) for name in ("angle_deg", "rise_levels", "background_levels")}
+    table = StreakTable(
+        frame=np.zeros(2, np.int64), center_px=np.zeros((2, 2)), **others,
+        **{name: np.array(values) for name, values in sizes.items()},
+    )  # fmt: skip
+    assert table.exposure_s == pytest.approx([FALL_BY_DIAMETER_S * 12 / 6, 0])
+    assert table.opacity == pytest.approx([9 * np.pi / 65, 1 / 20])
 
 
 def test_noise_alone_gives_no_streaks():
@@ -127,6 +143,9 @@ def test_statistics_count_what_the_band_holds():
     assert sum(statistics.length_histogram) == sum(statistics.angle_histogram) == 2
     assert statistics.length_histogram[2] == 1  # 20..30 px
     assert statistics.angle_deg[1] == pytest.approx(10, abs=2.5)
+    assert [high for _, high in BANDS[:-1]] == [low for low, _ in BANDS[1:]]  # each pixel is in one of them
+    halves = [streak_statistics(bright, darker, found, band).megapixels for band in ((32, 45), (45, 64))]
+    assert sum(halves) == pytest.approx(statistics.megapixels) and min(halves) > 0
     brighter = streak_statistics(bright, darker, found, (64, 96))
     assert brighter.streaks == brighter.per_megapixel == 0
     assert np.isnan(brighter.length_px).all()
@@ -174,3 +193,30 @@ def test_display_mixing_is_fainter_before_dark():
     )
     assert linear.min() >= 0
     assert 2 < linear.mean() / display.mean() < 8
+
+
+@pytest.mark.parametrize(
+    ("pictures", "spacing_s", "count", "chosen"),
+    [
+        (20, 0.1, 5, [5, 7, 9, 11, 13]),  # 0.2 s apart around the middle, not the 0.4 s that there is room for
+        (20, 0.04, 5, [1, 5, 9, 13, 17]),  # room for 4 pictures, 0.16 s
+        (7, 1.0, 3, [2, 3, 4]),  # a second apart: farther than wanted, one by one
+        (7, 0.13, 3, [1, 3, 5]),  # 0.2 s are 1.5 of these: two
+        (4, 0.1, 9, [0, 1, 2, 3]),
+        (3, 0.0, 3, [0, 1, 2]),
+        (1, 0.0, 5, [0]),
+    ],
+)
+def test_frames_are_chosen_around_the_middle(pictures, spacing_s, count, chosen):
+    times = tuple(3.0 + spacing_s * k for k in range(pictures))
+    camera = Camera.from_fov(64, 48, 60.0, np.eye(4))
+    sequence = RainSequence("made up", 5.0, camera, np.zeros(5), (Path("a.png"),) * pictures, times)
+    assert evenly_chosen(sequence, count) == chosen
+    assert evenly_chosen(sequence, 1) == [(pictures - 1) // 2]
+
+
+def test_nothing_still_has_no_statistics():
+    found = residuals(np.random.default_rng(1).integers(0, 255, (9, 40, 40), np.uint8).astype(np.uint8))
+    assert RESTLESS_LEVELS < 60 and not found.still.any()
+    with pytest.raises(ValueError, match="no pixel stands still"):
+        residual_statistics(found)

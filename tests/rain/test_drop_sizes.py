@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
+from scipy import special, stats
 
 from gsrain_engine.rain.calibration import VelocityFit, atlas_velocity
-from gsrain_engine.rain.drop_sizes import CLASSES, LARGEST_MM, SMALLEST_MM, DropSizes
+from gsrain_engine.rain.drop_sizes import CLASSES, DropSizes
 
 laws = st.builds(DropSizes, st.floats(1, 30), st.floats(0.02, 0.5))
 
@@ -15,9 +15,28 @@ laws = st.builds(DropSizes, st.floats(1, 30), st.floats(0.02, 0.5))
 def test_quantiles_are_those_of_the_truncated_gamma(sizes, probability):
     diameter = float(sizes.quantile(np.array([probability]))[0])
     gamma = stats.gamma(sizes.shape, scale=sizes.scale_mm)
-    low, high = gamma.cdf([SMALLEST_MM, LARGEST_MM])
-    assert SMALLEST_MM <= diameter <= LARGEST_MM
+    low, high = gamma.cdf([0.1, 8.0])
+    assert 0.1 <= diameter <= 8.0
     assert (gamma.cdf(diameter) - low) / (high - low) == pytest.approx(probability, abs=1e-6)
+
+
+@given(laws, st.floats(0.1, 8.0))
+@settings(max_examples=50, deadline=None)
+def test_the_density_is_that_of_the_truncated_gamma(sizes, diameter):
+    gamma = stats.gamma(sizes.shape, scale=sizes.scale_mm)
+    low, high = gamma.cdf([0.1, 8.0])
+    expected = gamma.pdf(diameter) / (high - low)
+    assert float(sizes.probability_per_mm(np.array([diameter]))[0]) == pytest.approx(expected, rel=1e-9, abs=1e-300)
+
+
+@given(laws, st.integers(1, 6))
+@settings(max_examples=50, deadline=None)
+def test_moments_are_those_of_the_truncated_gamma(sizes, power):
+    """E[D^n] = theta^n Gamma(mu + n) / Gamma(mu) times the share that the law of shape mu + n has in 0.1..8 mm."""
+    bounds = np.array([0.1, 8.0]) / sizes.scale_mm
+    share = np.diff(special.gammainc(sizes.shape + power, bounds)) / np.diff(special.gammainc(sizes.shape, bounds))
+    expected = sizes.scale_mm**power * special.poch(sizes.shape, power) * share[0]
+    assert sizes.expectation(lambda d: d**power) == pytest.approx(expected, rel=1e-7)
 
 
 @given(laws)
@@ -25,9 +44,15 @@ def test_quantiles_are_those_of_the_truncated_gamma(sizes, probability):
 def test_classes_have_the_moments_of_the_law(sizes):
     diameters = sizes.class_diameters_mm
     assert len(diameters) == CLASSES
+    assert diameters[[0, -1]] == pytest.approx(sizes.quantile(np.array([0.5, CLASSES - 0.5]) / CLASSES))
     assert np.all(np.diff(diameters) >= 0)
     assert diameters.mean() == pytest.approx(sizes.mean_mm, rel=1e-4)
     assert np.mean(diameters**3) == pytest.approx(sizes.expectation(lambda d: d**3), rel=5e-3)
+
+
+def test_a_law_of_nothing_but_mist_lies_at_its_lower_end():
+    """Of it e^-1000 is within 0.1..8 mm: a number that only exists as a logarithm."""
+    assert DropSizes(2.0, 1e-4).mean_mm == pytest.approx(0.1, abs=1e-3)
 
 
 def test_published_velocity_stays_at_its_vertex():

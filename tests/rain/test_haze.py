@@ -24,6 +24,56 @@ def test_opacity_in_the_region_is_that_of_m_gaussians(reset, time_s):
     assert made.opacities[inside].sum() == pytest.approx(20_000 * rain.haze_opacity, rel=0.03)
 
 
+@pytest.mark.parametrize("reset", ["fade", "paper"])
+def test_haze_fills_the_region_of_a_car_that_has_turned_and_driven_on(reset):
+    """In the car's own axes all of it is within 3 sigma of the region, and each eighth of it holds its eighth."""
+    rain, anchor = Rain(haze_reset=reset), np.eye(4)
+    cosine, sine = np.cos(0.7), np.sin(0.7)
+    anchor[:2, :2], anchor[:3, 3] = [[cosine, -sine], [sine, cosine]], (300.0, -20.0, 2.0)
+    made = haze(7.3, anchor=anchor, haze_reset=reset)
+    local = (made.means - anchor[:3, 3]) @ anchor[:3, :3] - rain.haze_region.center_m
+    half = np.array(rain.haze_region.size_m) / 2
+    assert np.all(np.abs(local) <= half + 3 * rain.haze_sigma_m + 1e-3)
+    inside = np.all(np.abs(local) <= half, axis=1)
+    eighths = np.bincount((local[inside] > 0) @ [1, 2, 4], made.opacities[inside], minlength=8)
+    assert eighths == pytest.approx(np.full(8, 20_000 * rain.haze_opacity / 8), rel=0.1)
+    reach = half + 3 * rain.haze_sigma_m
+    assert np.all(np.abs(local).max(axis=0) > reach - 0.1)  # all the way to each face
+
+
+@pytest.mark.parametrize(("count", "shares"), [(16_000, 1), (1000, 4), (160, 10), (10, 16)])
+def test_few_gaussians_are_split_up_into_the_geometric_mean_with_16000(count, shares):
+    made = haze(count=count)
+    assert made.opacities.max() == pytest.approx(Rain().haze_opacity / shares, rel=1e-3)
+    rain = Rain()
+    inside = np.all(np.abs(made.means - rain.haze_region.center_m) <= np.array(rain.haze_region.size_m) / 2, axis=1)
+    assert made.opacities[inside].sum() == pytest.approx(count * rain.haze_opacity, rel=0.5)
+    assert len(haze(count=0).means) == 0
+
+
+def test_haze_begins_3_m_from_the_camera_and_is_whole_at_5_m():
+    camera = np.array([10.0, 2.0, 1.0])
+    made = haze(1.0, camera=camera, count=60_000, haze_reset="paper")
+    x = np.clip((np.linalg.norm(made.means - camera, axis=1) - 3) / 2, 0, 1)
+    assert made.opacities == pytest.approx(Rain().haze_opacity * x**2 * (3 - 2 * x), abs=1e-6)
+    assert x.min() < 0.3 and np.sum(x < 1) > 20
+
+
+def test_a_haze_gaussian_comes_in_a_second_stays_two_and_goes_in_a_second():
+    lives = {}
+    for tick in range(1, 100):
+        made = haze(0.1 * tick, haze_count=80, count=80)
+        for place, opacity in zip(map(tuple, made.means), made.opacities, strict=True):
+            lives.setdefault(place, {})[tick] = float(opacity)
+    whole = [life for life in lives.values() if min(life) > 1 and max(life) < 99]
+    assert len(whole) > 100
+    for life in whole:
+        values = np.array([life[tick] for tick in range(min(life), max(life) + 1)]) / max(life.values())
+        assert len(values) in (39, 40) and 19 <= np.sum(values > 1 - 1e-4) <= 22
+        assert values == pytest.approx(values[::-1], abs=0.16)  # a smoothstep there and back
+        assert np.all(np.diff(values[:10]) > 0)
+
+
 def test_haze_comes_and_goes_slowly_and_stays_where_it_is():
     before, after = haze(10.0), haze(10.0 + 1e-3)
     places = {tuple(p): o for p, o in zip(before.means, before.opacities, strict=True)}

@@ -121,6 +121,18 @@ def test_sky_and_hidden_layers_are_no_roofs():
         assert roofs_of(Scene("test", (Layer("road", ROAD), Layer("bridge", BRIDGE, **changes)))) is None
 
 
+def test_a_piece_covers_its_whole_circle_wherever_that_lies():
+    random = np.random.default_rng(8)
+    roofs = Roofs(random.uniform(1, 5, (20, 30)).astype(np.float32), (-7.0, -4.0), 0.5)
+    for x, y, reach in random.uniform((-8, -5, 0.1), (9, 7, 3), (50, 3)).tolist():
+        angle, radius = random.uniform(0, 2 * np.pi, 200), reach * np.sqrt(random.uniform(0, 1, 200))
+        places = np.stack([x + radius * np.cos(angle), y + radius * np.sin(angle), np.full(200, 0.5)], axis=1)
+        piece, expected = roofs.around(x, y, reach), roofs.shelter(places)
+        assert np.array_equal(np.zeros(200, bool) if piece is None else piece.shelter(places), expected)
+        if piece is not None:
+            assert max(piece.heights_m.shape) <= 2 * reach / 0.5 + 2  # no more than that
+
+
 def test_a_piece_shelters_as_the_whole_does():
     roofs = find_roofs(parts(ROAD, BRIDGE))
     piece = roofs.around(11.0, 1.0, 4.0)

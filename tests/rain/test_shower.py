@@ -160,6 +160,22 @@ def test_changing_the_weather_moves_no_drop():
     assert np.array_equal(unmoved.moment(20.0).motion.fallen(20.0), rainfall.moment(20.0).motion.fallen(20.0))
 
 
+def test_between_the_nodes_diameters_are_within_the_promised_share():
+    """At the geometric middles, against the law of each intensity itself."""
+    rain = Rain()
+    calibration = Rainfall.start(rain).calibration
+    table = ClassTable.between(0.3, 30.0, rain, calibration)
+    middles = np.sqrt(table.nodes_mm_h[:-1] * table.nodes_mm_h[1:]).tolist()
+    for rate in (middles[0], middles[-1], next(each for each in middles if each > 8.5)):
+        alone = ClassTable.between(rate, rate, rain, calibration)
+        off = np.abs(table.at(table.diameters_mm, rate) / alone.diameters_mm[0] - 1)
+        assert len(alone.nodes_mm_h) == 1
+        if 1.2 < rate < 12:
+            assert np.median(off) < 0.004 and off.max() < 0.03
+        else:
+            assert off.max() < 0.0004
+
+
 @pytest.mark.parametrize(("start", "end"), [(0.0, 12.0), (11.0, 0.3), (5.0, 5.0), (0.0, 0.0), (12.0, 12.0)])
 def test_mean_shares_are_exact(start, end):
     """Against the mean over 20,000 moments on the way."""

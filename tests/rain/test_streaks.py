@@ -118,6 +118,30 @@ def test_the_compiled_form_makes_the_same_streaks_and_leaves_out_what_is_not_see
     assert set(np.flatnonzero(in_view)) <= set(rows)
 
 
+def test_a_tilted_camera_away_from_the_origin_leaves_out_what_is_outside_its_own_picture():
+    """From 4.8 standard deviations of its length on; the middle of this picture is off its center."""
+    eye = np.array([5.0, -3.0, 2.0])
+    camera = Camera(
+        960, 640, 1000.0, 800.0, 300.0, 400.0, look_at(eye, eye + [1.0, 0.7, 0.4], np.array([0.3, -0.2, 1.0]))
+    )
+    random = np.random.default_rng(12)
+    positions = eye + random.uniform(-4, 4, (4000, 3))
+    diameters = random.uniform(0.3, 4, 4000)
+    velocities = np.stack([random.normal(size=4000), random.normal(size=4000), -PUBLISHED.velocity(diameters)], axis=1)
+    given = (positions, diameters, velocities, Shutter(camera, np.array([8.0, 1.0, 0.5]), 0.008, F), Rain())
+    plain, compiled = make_streaks(*given), make_visible_streaks(*given)
+    m, reach = camera.world_to_camera, 4.8 * plain.scales[:, 2]
+    u, v, depth = (plain.means.astype(np.float64) @ m[:3, :3].T + m[:3, 3]).T
+    wide = np.maximum(depth + reach, 0)
+    seen = (depth >= 0) & (u >= -0.3 * wide - reach) & (u <= 0.66 * wide + reach)
+    seen &= (v >= -0.5 * wide - reach) & (v <= 0.3 * wide + reach)
+    assert 100 < seen.sum() < 0.3 * len(seen)
+    np.testing.assert_allclose(compiled.means, plain.means[seen], atol=1e-5)
+    np.testing.assert_allclose(compiled.scales, plain.scales[seen], rtol=2e-5)
+    np.testing.assert_allclose(compiled.quaternions, plain.quaternions[seen], atol=2e-6)
+    np.testing.assert_allclose(compiled.opacities, plain.opacities[seen], rtol=2e-5)
+
+
 def test_a_pinhole_and_drops_in_focus_are_sharp():
     """c = f A |1/d - 1/d_focus| px, here 6 mm at half the focus distance: 3 mm at the drop."""
     sharp, focused = streak(2.0, 1.0), streak(2.0, 1.0, aperture_mm=6.0, focus_distance_m=2.0)

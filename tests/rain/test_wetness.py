@@ -57,6 +57,29 @@ def test_what_dries_is_the_largest_of_all_moments_before(steps, drying_s, time_s
     assert found <= np.max(np.maximum(wet[:-1], wet[1:]) * dried[1:]) + 1e-9
 
 
+def test_rain_that_stops_slowly_is_remembered_from_its_turning_point():
+    """Falling from 12 mm/h to 0 within 60 s, drying in 20 s: the moment that wets most is found to 1e-9.
+
+    ln w(R(s)) + s / 20 is concave on the way down: a fine search brackets its top.
+    """
+    course = WetnessCourse(curve((0, 12), (60, 0)), 20.0)
+    moments = np.linspace(0, 60, 200_001)
+    wet = -np.expm1(-water_depth_mm(1.0) * (12 - moments / 5) ** 0.59 / 0.2)
+    for time_s in (30.0, 60.0, 75.0, 100.0):
+        before = moments <= time_s
+        expected = np.max(wet[before] * np.exp(-(time_s - moments[before]) / 20.0))
+        assert course.at(time_s) == pytest.approx(expected, rel=1e-7)
+    assert course.at(-5.0) == course.at(0.0) == pytest.approx(wetness(12))
+
+
+def test_a_course_remembers_one_moment():
+    """Drawing asks for it many times in a frame; a drive of hours must not grow by it."""
+    course = WetnessCourse(curve((0, 0), (10, 12)), 30.0)
+    for time_s in np.linspace(0, 20, 50).tolist():
+        course.at(time_s)
+    assert len(course._at) == 1
+
+
 def test_after_a_shower_it_dries_by_its_time_constant():
     course = WetnessCourse(curve((0, 0), (10, 12), (10.001, 0)), 30.0)
     assert course.at(10.0) == pytest.approx(wetness(12))

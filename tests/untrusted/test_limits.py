@@ -233,10 +233,77 @@ def test_what_was_written_before_the_end_is_read_before_it():
     os.close(reader)
 
 
+def test_an_end_that_leaves_nothing_behind_is_not_waited_for():
+    reader, writer = os.pipe()
+
+    def ended():
+        raise ValueError("it ended")
+
+    with pytest.raises(ValueError, match="it ended"):
+        read_pipe(reader, ByteBudget(100, "pipe"), Deadline(20), ended)
+    os.close(reader)
+    os.close(writer)
+
+
+@pytest.mark.parametrize("to_server", [False, True])
+def test_a_wire_to_a_server_that_drips_has_one_deadline_for_all(drip, to_server):
+    """Each part comes or goes in time; all of them together don't."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        wire = Wire("127.0.0.1", server.getsockname()[1], Deadline(0.3), ByteBudget(1000, "server"), is_secure=False)
+        with server.accept()[0] as theirs:
+            drip((lambda: theirs.recv(1 << 18)) if to_server else (lambda: theirs.send(b"x")))
+            with pytest.raises(TimeoutError):
+                if to_server:
+                    wire.send(bytes(1 << 26))
+                for _ in range(200):
+                    wire.receive()
+        wire.close()
+
+
+def test_a_wire_counts_what_comes_and_sends_all_of_it():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        wire = Wire("127.0.0.1", server.getsockname()[1], Deadline(20), ByteBudget(10, "server"), is_secure=False)
+        with server.accept()[0] as theirs, theirs.makefile("rb") as stream:
+            got = []
+            thread = threading.Thread(target=lambda: got.append(stream.read(3_000_000)), daemon=True)
+            thread.start()
+            wire.send(bytes(range(250)) * 12_000)
+            thread.join(20)
+            assert got == [bytes(range(250)) * 12_000]
+            theirs.sendall(b"0123456789")
+            received = b""
+            while len(received) < 10:
+                received += wire.receive()
+            assert received == b"0123456789"
+            theirs.sendall(b"!")
+            with pytest.raises(TooLargeError, match="server: larger than 10 bytes"):
+                wire.receive()
+        wire.close()
+
+
+def test_the_first_address_that_answers_is_spoken_to(monkeypatch):
+    with socket.create_server(("127.0.0.1", 0)) as server, socket.create_server(("127.0.0.1", 0)) as other:
+        port, closed = server.getsockname()[1], other.getsockname()[1]
+        other.close()
+        found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", each)) for each in (closed, port)]
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
+        wire = Wire("somewhere", 80, Deadline(20), ByteBudget(10, "somewhere"), is_secure=False)
+        server.accept()[0].close()
+        wire.close()
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found[:1])
+        with pytest.raises(ConnectionRefusedError):
+            Wire("somewhere", 80, Deadline(20), ByteBudget(10, "somewhere"), is_secure=False)
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: [])
+        with pytest.raises(OSError, match="it has no address"):
+            Wire("somewhere", 80, Deadline(20), ByteBudget(10, "somewhere"), is_secure=False)
+
+
 def test_only_pipes_are_opened_as_pipes(tmp_path, fifo):
     (tmp_path / "a").write_bytes(b"x")
+    before = len(list(Path("/dev/fd").iterdir()))
     with pytest.raises(InputError, match="a: not a pipe"):
         open_pipe(tmp_path / "a", os.O_RDONLY)
+    assert len(list(Path("/dev/fd").iterdir())) == before
     handle = open_pipe(fifo, os.O_RDONLY)
     assert stat.S_ISFIFO(os.fstat(handle).st_mode)
     os.close(handle)

@@ -5,7 +5,6 @@ A message has neither length nor version: whoever writes opens, writes and close
 
 import errno
 import os
-import stat
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -72,7 +71,7 @@ class Pipes:
             try:
                 os.mkfifo(path)
             except FileExistsError:
-                if not stat.S_ISFIFO(path.stat().st_mode):
+                if not path.is_fifo():
                     raise ClientError(f"{path} is there, and it is no pipe: move it away") from None
             except OSError as problem:
                 raise ClientError(f"no pipe can be made: {problem}") from None

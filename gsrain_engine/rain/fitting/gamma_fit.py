@@ -47,7 +47,9 @@ def fit_by_likelihood(
     if np.any((density > 0).sum(axis=1) < 3):
         raise ValueError("a gamma law needs drops in at least three diameter classes")
     observed = density / density.sum(axis=1, keepdims=True)
-    at = np.clip(np.log(np.stack(fit_by_moments(density, edges_mm), axis=1)), _LOW, _HIGH)
+    moments = fit_by_moments(density, edges_mm)
+    shape = np.clip(moments.shape, *SHAPES)
+    at = np.clip(np.log(np.stack([shape, moments.shape * moments.scale_mm / shape], axis=1)), _LOW, _HIGH)
     climbing = np.arange(len(at))
     for _ in range(_ROUNDS):
         ahead = _climb(at[climbing], observed[climbing], edges_mm)
@@ -81,7 +83,10 @@ def _climb(
     edges_mm: Float64[np.ndarray, " classes_and_one"],
 ) -> Float64[np.ndarray, "fits 2"]:
     """One step up for each fit; where even a small one leads down, the fit stays."""
-    step = np.clip(_scoring_step(at, observed, edges_mm), -_LONGEST, _LONGEST)
+    step = _scoring_step(at, observed, edges_mm)
+    step /= np.maximum(
+        np.abs(step).max(axis=1, keepdims=True) / _LONGEST, 1
+    )  # each by itself would turn it off its way
     likelihood = (observed * _log_shares(at, edges_mm)).sum(axis=1)
     reached, searching = at.copy(), np.arange(len(at))
     for _ in range(_HALVINGS):

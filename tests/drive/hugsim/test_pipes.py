@@ -5,6 +5,7 @@ import os
 import stat
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -60,6 +61,61 @@ def test_a_long_message_arrives_whole_and_is_answered(tmp_path):
     assert pipes.receive(watch, 100) == b"left and right"
     thread.join()
     assert got == [MESSAGE]
+
+
+def test_a_message_that_the_pipe_holds_does_not_wait_until_it_is_read(tmp_path):
+    """A pipe made as wide as a mebibyte, 16 times what it is at first."""
+    pipes, got, sent = Pipes(tmp_path), [], threading.Event()
+
+    def client():
+        with (tmp_path / "obs_pipe").open("rb") as pipe:
+            sent.wait(20)
+            got.append(pipe.read())
+
+    thread = other_end(client)
+    pipes.send(MESSAGE[: 1 << 20], patience(5))
+    sent.set()
+    thread.join()
+    assert got == [MESSAGE[: 1 << 20]]
+
+
+def test_a_link_to_nowhere_is_no_pipe(tmp_path):
+    (tmp_path / "plan_pipe").symlink_to(tmp_path / "gone")
+    with pytest.raises(ClientError, match="plan_pipe is there, and it is no pipe"):
+        Pipes(tmp_path)
+
+
+def test_a_name_that_no_file_can_have(tmp_path, monkeypatch):
+    monkeypatch.setattr("gsrain_engine.drive.hugsim.pipes.PLANS", "plan" * 100)
+    with pytest.raises(ClientError, match="no pipe can be made: .*name too long"):
+        Pipes(tmp_path)
+
+
+def test_pipes_that_somebody_removes_are_not_waited_for(tmp_path):
+    pipes = Pipes(tmp_path)
+    for name in ("obs_pipe", "plan_pipe"):
+        (tmp_path / name).unlink()
+    with pytest.raises(ClientError, match=r"the pipe can't be opened: .*obs_pipe"):
+        pipes.send(b"observation", patience())
+    with pytest.raises(ClientError, match=r"the pipe can't be opened: .*plan_pipe"):
+        pipes.receive(patience(), 100)
+
+
+@pytest.mark.parametrize(("looks", "words"), [(5, "ended with exit code 1 before it had answered"), (99, "hung up")])
+def test_a_client_that_lets_go_has_25_looks_to_end_in(monkeypatch, looks, words):
+    pauses = []
+    monkeypatch.setattr("gsrain_engine.drive.hugsim.pipes.time", SimpleNamespace(sleep=pauses.append))
+    watch = patience(600, lambda: "ended with exit code 1" if len(pauses) >= looks else None)
+    assert words in str(watch.failed("answered", "it hung up"))
+    assert pauses == [0.02] * min(looks, 25)
+
+
+def test_pauses_until_somebody_reads_double_up_to_20_ms(tmp_path, monkeypatch):
+    pauses = []
+    monkeypatch.setattr("gsrain_engine.drive.hugsim.pipes.time", SimpleNamespace(sleep=pauses.append))
+    with pytest.raises(ClientError, match="the client left before it had opened obs_pipe"):
+        Pipes(tmp_path).send(b"", patience(600, lambda: "left" if len(pauses) == 8 else None))
+    assert pauses == [0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.02, 0.02]
 
 
 def test_nobody_comes(tmp_path):

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from gsrain_engine.drive.metrics.metrics_files import write_metrics_csv
 from gsrain_engine.drive.metrics.summary import DriveMetrics, measured
-from small_rollout import approach, ego, rollout, step
+from small_rollout import approach, ego, rollout, step, user
 
 _PROMISED = (
     "collision", "min_ttc_s", "planned_point_collision_rate", "planned_frame_collision_rate", "comfort_executed",
@@ -36,6 +36,42 @@ def test_a_moment_is_enough():
     metrics = measured(rollout([step(0, ego())], end="agent"))
     assert (metrics.steps, metrics.mean_speed_m_s, metrics.comfort_executed, metrics.hdscore) == (0, 0.0, None, None)
     assert metrics.min_ttc_s == 10.0 and metrics.min_gap_m is None
+
+
+def test_a_run_that_begins_later_is_the_same_run():
+    """Only moments in time move along: a recorded drive starts at its own clock."""
+    run = approach(lead_x=33.0, moments=20)
+    later = replace(run, steps=tuple(replace(each, time_s=each.time_s + 7.5) for each in run.steps))
+    moments = {"min_ttc_time_s", "collision_time_s"}
+    here, there = (msgspec.structs.asdict(measured(each)) for each in (run, later))
+    assert here["duration_s"] == 3.0 and here["mean_speed_m_s"] == pytest.approx(10)
+    for name, value in here.items():
+        expected = value + 7.5 if name in moments else value
+        assert there[name] == (pytest.approx(expected) if isinstance(value, float) else expected), name
+
+
+def test_the_hardest_braking_is_the_largest_deceleration():
+    def hardest(*accelerations):
+        steps = [step(i, ego(2.5 * i, acceleration=a)) for i, a in enumerate(accelerations)]
+        return measured(rollout(steps)).hardest_braking_m_s2
+
+    assert hardest(-1.0, 2.0, -3.5, 0.5) == 3.5
+    assert hardest(1.0, 2.0, 0.5) == 0.0
+
+
+def test_the_share_of_the_route_is_the_farthest_that_was_reached():
+    steps = [step(i, ego(2.5 * i), completion=c) for i, c in enumerate((0.0, 0.3, 0.25))]
+    metrics = measured(rollout(steps))
+    assert metrics.route_completion == 0.3
+    assert metrics.mean_speed_m_s == pytest.approx(10.0)  # also of half a second
+
+
+def test_the_least_gap_counts_where_somebody_is_ahead_for_a_while():
+    """A car 12 m on from the start, middle to rear axle, leaves the lane at the third moment: 12 - 2.5 - 3 - 2 m."""
+    steps = [step(i, ego(2.5 * i), [user(12.0, y=0.0 if i < 2 else 30.0)]) for i in range(4)]
+    metrics = measured(rollout(steps))
+    assert metrics.min_gap_m == pytest.approx(4.5)
+    assert metrics.min_ttc_s == pytest.approx(0.45) and metrics.min_ttc_time_s == 0.25
 
 
 def test_a_vehicle_that_can_not_be_read_is_named():

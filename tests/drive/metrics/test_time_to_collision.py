@@ -22,6 +22,17 @@ def test_bumper_gap_over_closing_speed():
     assert _ttc([user(21.0, speed=4.0)]) == pytest.approx(16 / 6)
 
 
+def test_bumpers_that_touch_have_no_time_left_at_any_speed():
+    assert _ttc([user(5.0, speed=10.0)]) == _ttc([user(5.0, speed=12.0)], distance="center") == 0.0
+    assert _ttc([user(5.001, speed=12.0)]) == 10.0
+
+
+def test_who_overlaps_only_the_rear_is_there_too_and_who_is_behind_is_not():
+    """The own box begins 1 m behind the rear axle; the other one's reaches 2 m ahead of its middle."""
+    assert _ttc([user(-2.7, speed=10.0)]) == gaps_m(_one([user(-2.7)]))[0] == 0.0
+    assert _ttc([user(-3.1, speed=10.0)]) == 10.0 and np.isinf(gaps_m(_one([user(-3.1)]))[0])
+
+
 def test_middles_are_farther_apart_than_bumpers():
     assert _ttc([user(21.0, speed=4.0)], distance="center") == pytest.approx((21 - 1) / 6)
 

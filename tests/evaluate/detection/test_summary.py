@@ -12,7 +12,7 @@ from gsrain_engine.evaluate.detection.summary import Change, distance_scores, pl
 from gsrain_engine.evaluate.detection.sweep import JudgedPicture, Row, judged, rows_of
 from gsrain_engine.evaluate.detection.table import write_csv, write_parquet
 from gsrain_engine.evaluate.detection.truth import LabelledObject
-from gsrain_engine.evaluate.series_styles import series_styles
+from gsrain_engine.evaluate.series_styles import legend_columns, legend_width_in, series_styles, shades
 from gsrain_engine.render.scene_view import Shot
 from gsrain_engine.scene.camera import Camera
 
@@ -123,6 +123,23 @@ def test_a_reconstruction_is_compared_with_its_pictures():
 
 def test_styles_of_curves_differ():
     assert len({style[:3] for style in series_styles(300)}) == 300
+
+
+def test_shades_go_from_light_to_dark_and_one_is_in_the_middle():
+    def lightness(color):
+        return sum(color[:3])
+
+    assert [lightness(each) for each in shades(5)] == sorted(map(lightness, shades(5)), reverse=True)
+    assert shades(2, low=0.2, high=0.8) == shades(3, low=0.2, high=0.8)[::2]
+    assert shades(1, low=0.2, high=0.8) == shades(3, low=0.2, high=0.8)[1:2]
+
+
+@pytest.mark.parametrize(
+    ("entries", "height_in", "columns"), [(0, 3, 1), (16, 3, 1), (17, 3, 2), (33, 3, 3), (4, 0.1, 4)]
+)
+def test_a_legend_has_as_many_columns_as_its_lines_need(entries, height_in, columns):
+    assert legend_columns(entries, height_in) == columns  # 5.4 lines an inch: 16 on three inches
+    assert legend_width_in(entries, height_in) == pytest.approx(2.1 * columns)
 
 
 def test_figures_show_means_and_bands_by_object(rows, judgements):

@@ -40,3 +40,14 @@ def test_a_rate_that_fits_neither_order(factor: float):
     # It proves nothing: the drops' speeds decide.
     for counts, order in ((rain(), "diameters first"), (rain().T, "velocities first")):
         assert arranged(counts, "diameters first", factor * RAIN_MM_H, records=5)[1] == order
+
+
+@pytest.mark.parametrize("written", ["velocities first", "diameters first"])
+def test_the_rate_decides_where_drops_are_slower_than_rain_too(written: Order):
+    """1.6 mm at 0.85 m/s: read the other way round they would be smaller, and less rain than was reported."""
+    counts = np.zeros_like(rain())
+    counts[12, 8] = 400
+    middle_mm = 0.5 * (DIAMETER_EDGES_MM[12] + DIAMETER_EDGES_MM[13])
+    reported = 60 * 400 * np.pi / 6 * middle_mm**3 / (1e6 * AREA_M2[12])
+    for each, order in ((counts, "diameters first"), (counts.T, "velocities first")):
+        assert arranged(each, written, float(reported))[1] == order

@@ -134,17 +134,30 @@ def test_single_drops(tmp_path: Path):
     assert "its diameter in mm is nan" in reading.skipped[0] and "its speed in m/s is -1.0" in reading.skipped[1]
 
 
-def test_joss_waldvogel(tmp_path: Path):
-    path = tmp_path / "file.cdf"
-    xr.Dataset(
+def joss_waldvogel_dataset(middles: list[float], widths: list[float]) -> xr.Dataset:
+    return xr.Dataset(
         {
             "num_drop": (("time", "drop_class"), [[10.0, 5.0], [0.0, 0.0]]),
-            "mean_diam_drop_class": ("drop_class", [0.359, 0.455]),
-            "delta_diam": ("drop_class", [0.092, 0.1]),
+            "mean_diam_drop_class": ("drop_class", middles),
+            "delta_diam": ("drop_class", widths),
             "rain_rate": ("time", [0.03, -9999.0], {"units": "mm/hr"}),
         },
         coords={"time": TIMES[:2]},
-    ).to_netcdf(path, engine="scipy")
+    )
+
+
+@pytest.mark.parametrize(
+    ("middles", "widths"), [([0.359, 12.0], [0.092, 20.0]), ([0.359, 0.3], [0.092, -0.1]), ([0.01, 0.1], [0.1, 0.1])]
+)
+def test_classes_of_a_joss_waldvogel_that_no_drop_has(tmp_path: Path, middles: list[float], widths: list[float]):
+    path = tmp_path / "file.cdf"
+    joss_waldvogel_dataset(middles, widths).to_netcdf(path, engine="scipy")
+    assert refusal(path) == "delta_diam: the diameter classes must rise within 0 to 20 mm"
+
+
+def test_joss_waldvogel(tmp_path: Path):
+    path = tmp_path / "file.cdf"
+    joss_waldvogel_dataset([0.359, 0.455], [0.092, 0.1]).to_netcdf(path, engine="scipy")
     spectra = read_disdrometer(path).spectra
     assert spectra.velocity_edges_m_s is None
     np.testing.assert_allclose(spectra.diameter_edges_mm, [0.313, 0.405, 0.505])
@@ -236,6 +249,16 @@ def test_sums_that_roll_on_count_each_drop_once(tmp_path: Path):
     assert reading.skipped == ("record 2 (2024-05-01T00:02:00.000): it overlaps the one before (sums that roll on)",)
 
 
+def test_a_sensor_with_classes_of_its_own(tmp_path: Path):
+    path = tmp_path / "L1.nc"
+    disdrodb_dataset(sensor="PWS100").to_netcdf(path, engine="h5netcdf")
+    spectra = read_disdrometer(path).spectra
+    assert spectra.instrument == "Campbell PWS100"
+    np.testing.assert_array_equal(spectra.counts, np.stack([rain(), DRY, rain()])[:, 2:25, :26])
+    np.testing.assert_allclose(spectra.velocity_edges_m_s, VELOCITY_EDGES_M_S[:27])
+    np.testing.assert_array_equal(spectra.area_m2, 0.004)
+
+
 def test_a_sensor_without_fall_speeds(tmp_path: Path):
     path = tmp_path / "L1.nc"
     whole = disdrodb_dataset(sensor="RD80").drop_vars("drop_number")
@@ -257,6 +280,12 @@ def test_a_sensor_without_fall_speeds(tmp_path: Path):
         ),
         (
             lambda each: each.assign_attrs(sensor_name="LPM"),
+            "diameter_bin_lower: its classes are not those of the sensor",
+        ),
+        (
+            lambda each: each.assign_coords(
+                {f"diameter_bin_{end}": each[f"diameter_bin_{end}"] + 0.05 for end in ("lower", "upper")}
+            ),
             "diameter_bin_lower: its classes are not those of the sensor",
         ),
         (lambda each: each.drop_vars("velocity_bin_lower"), "velocity_bin_lower is missing: the bounds of the classes"),

@@ -127,6 +127,13 @@ def rd80_row(minute: int, drops: int, rate: str) -> str:
     return "\t".join(["2022-01-01", f"18:{minute:02d}:00", "0", "60", *map(str, counts), rate, "0,001", "0,002"])
 
 
+def test_classes_of_the_rd80_lie_around_its_mean_diameters():
+    """The other column of Distromet's table, to its three digits."""
+    means = [0.359, 0.455, 0.551, 0.656, 0.771, 0.913, 1.116, 1.331, 1.506, 1.665]
+    means += [1.912, 2.259, 2.584, 2.869, 3.198, 3.544, 3.916, 4.350, 4.859, 5.373]
+    assert (RD80_EDGES_MM[:-1] + RD80_EDGES_MM[1:]) / 2 == pytest.approx(means, abs=1.1e-3)
+
+
 def test_rd80_text_with_the_countrys_commas(tmp_path: Path):
     volume_mm = 100 * np.pi / 6 * 1.3305**3 / 5000
     lines = [RD80, *(rd80_row(minute, 100, f"{volume_mm * 60:.4f}".replace(".", ",")) for minute in (14, 15))]

@@ -1,5 +1,7 @@
 """Axis ratios of single drops."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -27,6 +29,16 @@ def test_the_papers_line_comes_back():
     assert fit.drops == pytest.approx(20_000, rel=0.01)
     assert fit.medians[0] == pytest.approx(1.0, abs=0.01)
     assert np.all(fit.quartiles[0] < fit.medians) and np.all(fit.medians < fit.quartiles[1])
+
+
+def test_r2_of_medians_on_a_bow_is_the_square_of_their_correlation():
+    """Classes hold about as many drops each, so weights change little."""
+    straight = drops(40_000)
+    bow = 1 - 0.03 * (straight.diameters_mm - 0.5) ** 2
+    fit = fit_axis_ratio(replace(straight, axis_ratios=bow))
+    large = fit.diameters_mm > 1
+    expected = np.corrcoef(fit.diameters_mm[large], fit.medians[large])[0, 1] ** 2
+    assert fit.r2 == pytest.approx(expected, abs=0.003) and 0.9 < expected < 0.99
 
 
 def test_splashes_have_no_say():

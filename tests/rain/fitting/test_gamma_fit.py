@@ -55,6 +55,21 @@ def test_scoring_reaches_what_a_search_without_slopes_reaches():
         assert [fitted.shape[i], fitted.scale_mm[i]] == pytest.approx(np.exp(best.x), rel=1e-4)
 
 
+@pytest.mark.parametrize(("true", "limit"), [((900.0, 0.0016), 200.0), ((250.0, 0.005), 200.0), ((0.02, 0.8), 0.2)])
+def test_where_the_shape_stands_at_its_limit_the_scale_is_still_the_likeliest(true, limit):
+    shares = class_shares(law(*true), EDGES)
+    fitted = fit_by_likelihood(shares, EDGES)
+
+    def loss(log_scale):
+        own = np.maximum(class_shares(law(limit, np.exp(log_scale)), EDGES)[0], 1e-300)
+        return -np.sum(shares[0] * np.log(own / own.sum()))
+
+    bounds = np.log((0.5 * fitted.scale_mm[0], 2 * fitted.scale_mm[0]))
+    best = optimize.minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 1e-9})
+    assert fitted.shape[0] == pytest.approx(limit)
+    assert fitted.scale_mm[0] == pytest.approx(np.exp(best.x), rel=1e-5)
+
+
 def test_fits_do_not_depend_on_their_company():
     rng = np.random.default_rng(5)
     histograms = rng.poisson(200 * class_shares(law(7.0, 0.11), EDGES)[0], (5, len(EDGES) - 1)).astype(np.float64)

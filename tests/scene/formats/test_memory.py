@@ -28,14 +28,20 @@ def free_bytes(monkeypatch):
     return only
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz"])
-def test_every_format_looks_before_it_reads(tmp_path, free_bytes, suffix):
+@pytest.mark.parametrize(("suffix", "harmonics"), [(".ply", 4), (".splat", 1), (".spz", 4)])
+def test_every_format_looks_before_it_reads(tmp_path, free_bytes, suffix, harmonics):
     path = tmp_path / f"scene{suffix}"
     write_gaussians(some(), path)
     read_scene(path)
     free_bytes(1000)
     with pytest.raises(SceneFormatError, match=r"100 Gaussians need 0.0 GB of memory .*, 0.0 GB are free"):
         read_scene(path)
+    needed = 1.6 * 4 * 100 * (11 + 3 * harmonics)
+    free_bytes(needed - 1)
+    with pytest.raises(SceneFormatError):
+        read_scene(path)
+    free_bytes(needed)
+    assert read_scene(path).layers[0].gaussians.sh.shape[1] == harmonics
 
 
 def test_what_just_fits_is_opened_and_big_scenes_are_announced(tmp_path, free_bytes, caplog):

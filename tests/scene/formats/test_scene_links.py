@@ -60,6 +60,36 @@ def test_an_autosave_beside_it_does_not_depend_on_the_link(folder: Path, far: Pa
     assert not [file for file in (tmp_path / "kept").rglob("*") if file.is_symlink()]
 
 
+def test_on_a_disk_without_second_names_an_autosave_is_a_copy(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise OSError(95, "Operation not supported")
+
+    known = KnownFiles()
+    scene = read_scene(folder, known)
+    monkeypatch.setattr(os, "link", refused)
+    write_scene_folder(scene, tmp_path / "kept", known, linking=True)
+    for file in (folder / "layers").glob("*.ply"):
+        copy = tmp_path / "kept/layers" / file.name
+        assert copy.read_bytes() == file.read_bytes() and not copy.samefile(file)
+
+
+def test_what_a_killed_autosave_left_is_not_written_through(folder: Path, tmp_path: Path) -> None:
+    """Its unfinished file may be another name of one that is whole."""
+    known = KnownFiles()
+    scene = read_scene(folder, known)
+    whole = {file.read_bytes(): file for file in sorted((folder / "layers").glob("*.ply"))}
+    first, other = list(whole.values())[:2]
+    write_scene_folder(replace(scene, layers=()), tmp_path / "kept")
+    (tmp_path / "kept/layers").mkdir(exist_ok=True)
+    label = first.name.removeprefix("000-").rpartition("-")[0]
+    os.link(other, tmp_path / f"kept/layers/.000-{label}.part")
+    write_scene_folder(scene, tmp_path / "kept", known, linking=True)
+    assert set(whole) == {file.read_bytes() for file in whole.values()}
+    assert_equal(read_scene(tmp_path / "kept").layers[0].gaussians, scene.layers[0].gaussians)
+
+
 def test_scenes_that_share_a_linked_folder_leave_each_others_files(folder: Path, tmp_path: Path) -> None:
     shared = tmp_path / "shared"
     shutil.move(folder / "layers", shared)

@@ -224,6 +224,13 @@ def test_a_canvas_larger_than_its_image_is_refused_undecoded(tmp_path: Path) -> 
         read_bytes(tmp_path, with_file("quats.webp", bomb))
 
 
+def test_members_with_a_password_are_refused(tmp_path: Path) -> None:
+    data = bytearray(zipped(*scene()[:2]))
+    data[data.index(b"PK\x01\x02") + 8] |= 1  # in the directory of the archive
+    with pytest.raises(SceneFormatError, match="must be stored or deflated, without a password"):
+        read_bytes(tmp_path, bytes(data))
+
+
 def test_bombs_take_no_memory(tmp_path: Path) -> None:
     meta, files, _ = scene()
     bombs = [

@@ -105,6 +105,9 @@ def test_quaternions_are_stored_in_spz_axes(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         matrices_from_quaternions(after.quaternions), matrices_from_quaternions(before.quaternions), atol=5e-3
     )
+    signs = np.sign((after.quaternions * before.quaternions).sum(axis=1, keepdims=True))
+    off = np.sort(np.abs(after.quaternions - signs * before.quaternions), axis=1)
+    assert off[:, 2].max() < 0.51 * np.sqrt(0.5) / 511  # of the three that are stored, half a step
     packed = np.frombuffer(gzip.decompress(encode_spz(before)), "<u4", 100, 16 + 100 * 16)
     # The largest component, in the order x, y, z, w, is the same in both frames.
     expected = np.abs(before.quaternions[:, [1, 2, 3, 0]]).argmax(axis=1)
@@ -126,6 +129,58 @@ def test_empty_and_huge_scenes(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_bytes(tmp_path, encode_spz(far)).means, far.means, atol=0.6)
     with pytest.raises(ValueError, match="units from the origin"):
         encode_spz(some_gaussians(50, 0, reach=1e8))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_means_that_are_not_finite_are_neither_written_nor_read(value: float, tmp_path: Path) -> None:
+    broken = some_gaussians(3, 0)
+    broken.means[1, 2] = value
+    with pytest.raises(ValueError, match="units from the origin, not"):
+        encode_spz(broken)
+    halves = header(1, 2, bits=0) + struct.pack("<6e", 0, 1, 2, 3, value, 5) + bytes(20)
+    with pytest.raises(SceneFormatError, match="1 of 2 Gaussians have a mean that is not a finite .* number 1"):
+        read_bytes(tmp_path, halves)
+
+
+@pytest.mark.parametrize(("units", "bits"), [(0.0, 16), (127.99, 16), (128.0, 15), (8_388_606.0, 0)])
+def test_means_have_the_finest_step_that_24_bits_have_room_for(units: float, bits: int, tmp_path: Path) -> None:
+    g = some_gaussians(1, 0)
+    g.means[0] = units, -units, 0
+    data = encode_spz(g)
+    assert gzip.decompress(data)[13] == bits
+    np.testing.assert_allclose(read_bytes(tmp_path, data).means, g.means, atol=0.5 / 2**bits, rtol=0)
+    g.means[0, 0] = 8_388_607
+    with pytest.raises(ValueError, match="up to 8388607 units"):
+        encode_spz(g)
+
+
+def test_extensions_after_the_gaussians_are_left_unread(tmp_path: Path) -> None:
+    data = bytearray(gzip.decompress(encode_spz(some_gaussians(4, 1))))
+    before = read_bytes(tmp_path, bytes(data))
+    data[14] |= 2
+    for packed in (bytes, gzip.compress):
+        after = read_bytes(tmp_path, packed(bytes(data) + bytes(2**20)))
+        np.testing.assert_array_equal(after.means, before.means)
+        with pytest.raises(SceneFormatError):
+            read_bytes(tmp_path, packed(bytes(data) + bytes(2**20 + 1)))
+    data[14] = 1  # another flag
+    with pytest.raises(SceneFormatError, match="bytes, not"):
+        read_bytes(tmp_path, bytes(data) + b"x")
+
+
+def test_numbers_are_those_of_the_format(tmp_path: Path) -> None:
+    """As Niantic's description has them, in steps: log scales 1/16 from -10, harmonics 1/128, turns 511."""
+    means = b"".join(struct.pack("<i", value << 8)[1:] for value in (3, -5, 1))
+    turn = 3 << 30 | 100 << 20 | 50 << 10 | 512 | 25  # w is the largest; x, y and, negative, z
+    body = bytes([51, 0, 255, 51, 160, 0, 255]) + struct.pack("<I", turn) + bytes([128, 0, 255] * 3)
+    g = read_bytes(tmp_path, header(3, 1, degree=1, bits=1) + means + body)
+    np.testing.assert_array_equal(g.means, [[1.5, 2.5, -0.5]])
+    np.testing.assert_allclose(g.opacities, 0.2)
+    np.testing.assert_allclose(g.sh[0, 0], [-0.5 / 0.15, 0.5 / 0.15, -0.3 / 0.15], rtol=1e-5)
+    np.testing.assert_allclose(g.scales, np.exp([[0, -10, 255 / 16 - 10]]), rtol=1e-6)
+    np.testing.assert_allclose(g.quaternions[0, 1:], np.sqrt(0.5) / 511 * np.array([100, -50, 25]), rtol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(g.quaternions), 1)
+    np.testing.assert_allclose(g.sh[0, 1:], np.outer([-1, -1, 1], [0, -1, 127 / 128]))
 
 
 def test_written_files_are_the_same_bytes_each_time(tmp_path: Path) -> None:
