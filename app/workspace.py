@@ -144,7 +144,7 @@ class Workspace:
         """Draw the viewport, and act on keys."""
         if not self.session.view.dialog and self.session.questions.present is None:
             act_on_keys(self.session)
-        answer_dialogs()
+        answer_dialogs(self.session)
         viewport_panel(self.session, self._textures)
         self._palette.draw(self.session)
         keyboard_page(self.session)

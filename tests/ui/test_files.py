@@ -115,6 +115,32 @@ def test_an_export_leaves_the_star_and_save_as_writes_no_file(driver, tmp_path):
     driver.run(script)
 
 
+@pytest.mark.parametrize(
+    ("keys", "dialog"), [((CTRL, imgui.Key.e), "Export a file"), ((CTRL, SHIFT, imgui.Key.s), "Save the scene")]
+)
+def test_a_name_is_needed_and_what_was_written_is_reported(driver, tmp_path, keys, dialog):
+    places = []
+
+    def script():
+        session = driver.session
+        key(driver, *keys)
+        type_name(driver, dialog, f"{tmp_path}/")
+        assert "no name was typed" in session.problem and session.questions.present is None and not session.files.work
+        places.extend(tmp_path.iterdir())
+        nothing_new = driver.screen()
+        key(driver, *keys)
+        type_name(driver, dialog, str(tmp_path / "rainy"))
+        if session.questions.present is not None:
+            driver.press(imgui.Key.enter)
+        driver.until(lambda: not session.files.work and session.log.lines[-1].text.startswith(("Saved", "Exported")))
+        assert session.problem is None
+        status = slice(695, 718), slice(150, 600)  # px
+        assert np.abs(driver.screen()[status] - nothing_new[status]).mean() > 2
+
+    driver.run(script)
+    assert not places and (tmp_path / "rainy").is_dir() == (dialog == "Save the scene")
+
+
 def test_the_cross_of_the_window_asks_about_a_job_and_waits_for_it(driver):
     job = HeldJob()
     driver.session.start(job)

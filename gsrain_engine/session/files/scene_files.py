@@ -354,11 +354,13 @@ class SceneFiles:
         if self._saving is not None:  # the newest is what counts
             self._next_saving = lambda: self._begin_saving(path, act)
             return
+        self._session.problem = None
         scene, document, known = saved_scene(self._session), self._session.history.present, self._known
         future = self._thread.submit(_write, scene, path, known)
         self._saving = _Saving(f"Save {path.name}", future, path.resolve(), document, act)
 
     def _begin_exporting(self, scene: Scene, path: Path) -> None:
+        self._session.problem = None
         future = self._thread.submit(write_scene, scene, path)
         self._exporting.append(_Exporting(f"Export {path.name}", future, path))
 

@@ -196,6 +196,9 @@ def test_an_export_asks_before_it_replaces_a_file_and_needs_the_name_of_one(sess
     session.files.export_to(tmp_path / "broken" / "out.ply")
     settle(session)
     assert "can't be exported" in session.problem
+    session.files.export_to(tmp_path / "other.spz")
+    settle(session)
+    assert session.problem is None  # it is about what was tried before
 
 
 @pytest.mark.parametrize("name", ["out.ply", "out.SPZ", "out.ksplat"])
@@ -235,6 +238,23 @@ def test_opening_another_scene_asks_about_changes(session, home, tmp_path, label
     assert not session.files.is_opening
     answer(session, label)
     assert (session.scene.name == "other") == is_opened
+    assert (read_scene(home).layers[0].marks.deleted is not None) == is_saved
+
+
+@pytest.mark.parametrize(("label", "is_saved"), [("Save", True), ("Don't save", False), ("Cancel", False)])
+def test_a_scene_that_was_being_read_waits_for_the_answer_about_the_present_one(
+    session, home, tmp_path, label, is_saved
+):
+    write_scene(small_scene("other"), tmp_path / "other")
+    delete_every_third(session)
+    session.open(str(tmp_path / "other"))
+    session.questions.answer(session.questions.present.answers[1])
+    session.leave()
+    settle(session)
+    assert "the changes of small before you quit" in session.questions.present.text and session.has_changes
+    answer(session, label)
+    assert session.is_leaving == (label != "Cancel")
+    assert session.scene.name == "other" or session.is_leaving
     assert (read_scene(home).layers[0].marks.deleted is not None) == is_saved
 
 
