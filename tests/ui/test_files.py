@@ -1,6 +1,7 @@
 """Saving, leaving and recovering in the real window, with what it asks on the way."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
+from gsrain_engine.session.questions import Answer, Question
 from gsrain_engine.session.session import Session
 from session.files.open_document import HeldJob
 from small_scene import small_scene
@@ -86,6 +88,31 @@ def test_leaving_with_changes_asks_and_nothing_else_goes_on_meanwhile(driver):
     assert driver.session.is_leaving
     asked, not_asked = screens
     assert np.abs(asked - not_asked).mean() > 5
+
+
+def test_tab_goes_from_answer_to_answer(driver):
+    given = []
+    for title, enter_answers in (("First", True), ("Second", False)):
+        answers = tuple(Answer(each, partial(given.append, (title, each))) for each in ("Save", "Lose", "Cancel"))
+        driver.session.questions.ask(Question(title, "Well?", answers, enter_answers=enter_answers))
+
+    def script():
+        driver.frames(3)
+        driver.press(imgui.Key.tab)
+        driver.press(imgui.Key.enter)
+        driver.frames(3)
+        assert given == [("First", "Lose")]
+        driver.press(imgui.Key.enter)  # nothing is chosen yet
+        driver.frames(3)
+        assert len(given) == 1 and driver.session.questions.present.title == "Second"
+        for _ in range(2):
+            driver.press(imgui.Key.tab)
+        driver.press(imgui.Key.enter)
+        driver.frames(3)
+        assert given[1:] == [("Second", "Lose")]
+        assert not imgui.get_io().config_flags & int(imgui.ConfigFlags_.nav_enable_keyboard)
+
+    driver.run(script)
 
 
 def type_name(driver, dialog, name):

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.flattening import left_out_when_flat
@@ -251,11 +252,32 @@ def test_a_scene_that_was_being_read_waits_for_the_answer_about_the_present_one(
     session.questions.answer(session.questions.present.answers[1])
     session.leave()
     settle(session)
-    assert "the changes of small before you quit" in session.questions.present.text and session.has_changes
+    assert "the changes of crossing before you quit" in session.questions.present.text and session.has_changes
     answer(session, label)
     assert session.is_leaving == (label != "Cancel")
     assert session.scene.name == "other" or session.is_leaving
     assert (read_scene(home).layers[0].marks.deleted is not None) == is_saved
+
+
+def test_a_capture_is_offered_as_one(session, tmp_path):
+    photos, broken = tmp_path / "photos", tmp_path / "broken"
+    for folder in (photos, broken):
+        folder.mkdir()
+        Image.new("RGB", (32, 24)).save(folder / "one.jpg")
+    (broken / "scene.json").write_text("{")
+    session.open(str(photos))
+    settle(session)
+    assert "photos is a capture (image folder)" in session.questions.present.text and session.problem is None
+    answer(session, "Open the capture")
+    while session.captures.busy is not None:
+        session.update(0.0)
+    assert session.captures.path == photos and session.scene.name == "crossing"
+    session.files.import_from(str(photos))
+    settle(session)
+    assert "File > Open a capture" in session.problem
+    session.open(str(broken))
+    settle(session)
+    assert "scene.json" in session.problem and session.questions.present is None
 
 
 def test_leaving_asks_and_cancel_stays(session):
