@@ -21,6 +21,7 @@ def apply_style(preferences: Preferences) -> None:
     hello_imgui.apply_theme(_THEMES[preferences.theme])
     style = imgui.get_style()
     style.frame_rounding = style.grab_rounding = 3.0
+    style.frame_border_size = 1.0  # the light theme has none: a box without a tick would be white on white
     style.window_rounding = 0.0
     style.popup_rounding = 4.0
     style.window_menu_button_position = imgui.Dir.none
