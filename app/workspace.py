@@ -87,6 +87,7 @@ class Workspace:
         self._mosaic = MosaicPictures(context)
         self._palette = CommandPalette()
         self._pace = Pace()
+        self._capture = session.captures.capture
         self._last_problem = ""
         self._style = session.preferences
 
@@ -144,12 +145,21 @@ class Workspace:
         """Draw the viewport, and act on keys."""
         if not self.session.view.dialog and self.session.questions.present is None:
             act_on_keys(self.session)
-        answer_dialogs()
+        answer_dialogs(self.session)
+        self._show_new_capture()
         viewport_panel(self.session, self._textures)
         self._palette.draw(self.session)
         keyboard_page(self.session)
         about_page(self.session)
         draw_questions(self.session)
+
+    def _show_new_capture(self) -> None:
+        """Bring the Capture panel to the front once one was opened: the view shows nothing of one without poses."""
+        present = self.session.captures.capture
+        if present is not self._capture:
+            self._capture = present
+            if present is not None:
+                imgui.set_window_focus("Capture")
 
     def _textures(self, width: int, height: int) -> list[int]:
         try:

@@ -11,6 +11,9 @@ _THEMES = {
 _LEAST_TAB_PX = 30.0
 """In a narrow window tabs get short before they have to be scrolled."""
 
+_BEHIND_QUESTIONS = (0.0, 0.0, 0.0, 0.45)
+"""Darkens the rest of the window, in both themes: the dark one would bleach it."""
+
 
 def apply_style(preferences: Preferences) -> None:
     """Set colours, sizes and the scale of text."""
@@ -18,6 +21,7 @@ def apply_style(preferences: Preferences) -> None:
     hello_imgui.apply_theme(_THEMES[preferences.theme])
     style = imgui.get_style()
     style.frame_rounding = style.grab_rounding = 3.0
+    style.frame_border_size = 1.0  # the light theme has none: a box without a tick would be white on white
     style.window_rounding = 0.0
     style.popup_rounding = 4.0
     style.window_menu_button_position = imgui.Dir.none
@@ -28,5 +32,6 @@ def apply_style(preferences: Preferences) -> None:
     style.scale_all_sizes(preferences.ui_scale)
     style.font_scale_main = preferences.font_scale
     style.font_scale_dpi = for_screen
+    style.set_color_(imgui.Col_.modal_window_dim_bg, _BEHIND_QUESTIONS)
     color = style.color_(imgui.Col_.popup_bg)
     style.set_color_(imgui.Col_.popup_bg, (color.x, color.y, color.z, 0.98))

@@ -166,8 +166,21 @@ class Session(Desk):
         """Start a job whose result is a scene; its files are read and written in the session's thread."""
         self.start(SceneJob(task, self._files))
 
+    @property
+    def holds_document(self) -> bool:
+        """Whether a person is asked about the document that is open: no other takes its place before the answer.
+
+        Nothing holds an empty document, nor one that is left as soon as work has ended.
+        """
+        return bool(self.scene.members) and self.questions.present is not None and not self.is_awaiting
+
     def swap_in(self) -> None:
-        """Show the staged scene: its Gaussians are where the next frame needs them."""
+        """Show the staged scene: its Gaussians are where the next frame needs them.
+
+        One that takes the document's place stays staged while a question about the document has no answer.
+        """
+        if self.staged is not None and self.staged.is_opened and self.holds_document:
+            return
         staged, self.staged = self.staged, None
         if staged is None:
             return

@@ -38,9 +38,7 @@ def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
     captures = driver.session.captures
 
     def script():
-        driver.ctx.window_focus("//Capture")
-        driver.frames()
-        captures.open(folder)
+        captures.open(folder)  # its panel comes to the front
         driver.until(lambda: captures.capture is not None)
         assert driver.session.problem is None
         _idle(driver)

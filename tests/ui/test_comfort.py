@@ -1,8 +1,10 @@
 """Finding, doing and undoing things: menus, command palette, keyboard page, layers, history, notices."""
 
+import numpy as np
 import pytest
 
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.session.questions import Answer, Question, nothing
 from ui.actions import ACTIONS
 from ui.menus import MENUS
 from ui.pages.command_palette import matches
@@ -33,6 +35,28 @@ def test_names_are_unique_and_menus_known_and_all_explained():
     assert {action.menu for action in ACTIONS} <= {"", *MENUS}
     assert [action.name for action in ACTIONS if not action.help] == []
     assert len({panel.title for panel in PANELS}) == len(PANELS)
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_fields_have_edges_and_questions_darken_the_rest(driver, tmp_path, monkeypatch, theme):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    session, screens = driver.session, []
+
+    def script():
+        session.prefer(theme=theme)
+        driver.ctx.window_focus("//Rain")
+        driver.frames(3)
+        item = driver.ctx.item_info("//Rain/Roofs").rect_full
+        screens.append(driver.screen())
+        low, middle = (int(item.min.x), int(item.min.y)), int(item.min.y + imgui.get_font_size() / 2)
+        box = screens[0][middle, low[0] - 3 : low[0] + 12]
+        assert np.abs(np.diff(box.sum(axis=1))).max() > 60  # not white on white
+        session.questions.ask(Question("Well?", "Well?", (Answer("OK", nothing),)))
+        driver.frames(30)  # it fades in
+        screens.append(driver.screen())
+        assert screens[1][:60].mean() < 0.8 * screens[0][:60].mean()
+
+    driver.run(script)
 
 
 def test_chords_read_as_people_write_them():

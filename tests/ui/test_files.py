@@ -1,6 +1,7 @@
 """Saving, leaving and recovering in the real window, with what it asks on the way."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
+from gsrain_engine.session.questions import Answer, Question
 from gsrain_engine.session.session import Session
 from session.files.open_document import HeldJob
 from small_scene import small_scene
@@ -88,6 +90,31 @@ def test_leaving_with_changes_asks_and_nothing_else_goes_on_meanwhile(driver):
     assert np.abs(asked - not_asked).mean() > 5
 
 
+def test_tab_goes_from_answer_to_answer(driver):
+    given = []
+    for title, enter_answers in (("First", True), ("Second", False)):
+        answers = tuple(Answer(each, partial(given.append, (title, each))) for each in ("Save", "Lose", "Cancel"))
+        driver.session.questions.ask(Question(title, "Well?", answers, enter_answers=enter_answers))
+
+    def script():
+        driver.frames(3)
+        driver.press(imgui.Key.tab)
+        driver.press(imgui.Key.enter)
+        driver.frames(3)
+        assert given == [("First", "Lose")]
+        driver.press(imgui.Key.enter)  # nothing is chosen yet
+        driver.frames(3)
+        assert len(given) == 1 and driver.session.questions.present.title == "Second"
+        for _ in range(2):
+            driver.press(imgui.Key.tab)
+        driver.press(imgui.Key.enter)
+        driver.frames(3)
+        assert given[1:] == [("Second", "Lose")]
+        assert not imgui.get_io().config_flags & int(imgui.ConfigFlags_.nav_enable_keyboard)
+
+    driver.run(script)
+
+
 def type_name(driver, dialog, name):
     driver.ctx.item_click(f"//{dialog}/##file_input")
     driver.ctx.key_chars_replace(name)
@@ -113,6 +140,32 @@ def test_an_export_leaves_the_star_and_save_as_writes_no_file(driver, tmp_path):
         assert read_scene(tmp_path / "saved").rain["intensity_mm_h"] == 8.5
 
     driver.run(script)
+
+
+@pytest.mark.parametrize(
+    ("keys", "dialog"), [((CTRL, imgui.Key.e), "Export a file"), ((CTRL, SHIFT, imgui.Key.s), "Save the scene")]
+)
+def test_a_name_is_needed_and_what_was_written_is_reported(driver, tmp_path, keys, dialog):
+    places = []
+
+    def script():
+        session = driver.session
+        key(driver, *keys)
+        type_name(driver, dialog, f"{tmp_path}/")
+        assert "no name was typed" in session.problem and session.questions.present is None and not session.files.work
+        places.extend(tmp_path.iterdir())
+        nothing_new = driver.screen()
+        key(driver, *keys)
+        type_name(driver, dialog, str(tmp_path / "rainy"))
+        if session.questions.present is not None:
+            driver.press(imgui.Key.enter)
+        driver.until(lambda: not session.files.work and session.log.lines[-1].text.startswith(("Saved", "Exported")))
+        assert session.problem is None
+        status = slice(695, 718), slice(150, 600)  # px
+        assert np.abs(driver.screen()[status] - nothing_new[status]).mean() > 2
+
+    driver.run(script)
+    assert not places and (tmp_path / "rainy").is_dir() == (dialog == "Save the scene")
 
 
 def test_the_cross_of_the_window_asks_about_a_job_and_waits_for_it(driver):

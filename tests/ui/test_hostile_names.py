@@ -7,7 +7,7 @@ import pytest
 
 from small_scene import small_scene
 from ui.widgets import names
-from window_driver import Driver
+from window_driver import Driver, imgui
 
 NAMES = ("a##hidden", "b##hidden", "c###same", "d###same", "%s%n%d", "##", "[/x]\x1b[\u202e\nline", "\udcff no text")
 
@@ -43,6 +43,24 @@ def test_a_label_shows_all_of_a_name(name):
     drawn = names.label(name, str(Path("/home") / name))
     shown, _, identity = drawn.partition("##")
     assert "#" not in identity and shown.replace(" ", "") == names.escaped(name).replace(" ", "")
+
+
+def test_titles_and_choices_hide_nothing(monkeypatch):
+    drawn = []
+
+    def drawing(*arguments):
+        drawn.append(arguments)
+
+    for function in ("separator_text", "progress_bar", "combo", "button"):
+        monkeypatch.setattr(imgui, function, drawing)
+    names.escape_all_text()
+    imgui.separator_text("Record a##b")
+    imgui.progress_bar(0.5, None, "Record a##b: 50 %")
+    imgui.combo("##cameras", 0, ["a##b", "c#"])
+    imgui.button("Open##here")
+    assert drawn == [
+        ("Record a# #b",), (0.5, None, "Record a# #b: 50 %"), ("##cameras", 0, ["a# #b", "c# "]), ("Open##here",)
+    ]  # fmt: skip
 
 
 def test_identities_stay_different():

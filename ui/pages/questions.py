@@ -16,6 +16,7 @@ def draw_questions(session: Session) -> None:
     if wanted is not None:
         ask_where_to_save("Save the scene", SCENE_FOLDERS, lambda chosen: wanted(chosen[0]))
     question = session.questions.present
+    _let_keys_choose(question is not None)
     if question is None:
         return
     session.view.dialog = ""  # nothing else is on top of it
@@ -60,11 +61,21 @@ def _given(question: Question) -> Answer | None:
             given = answer
         if n == 0:
             imgui.set_item_default_focus()
+            if imgui.is_window_appearing():  # Enter and Space act on what the cursor is on, where it is visible
+                imgui.set_nav_cursor_visible(question.enter_answers)
         keys = {0: " (Enter)" if question.enter_answers else "", len(question.answers) - 1: " (Escape)"}.get(n, "")
         imgui.set_item_tooltip(f"{answer.help or answer.label}{keys}")
     if imgui.is_key_pressed(imgui.Key.escape):
         return question.answers[-1]
+    if given is not None:
+        return given
     is_entered = imgui.is_key_pressed(imgui.Key.enter) or imgui.is_key_pressed(imgui.Key.keypad_enter)
     if is_entered and question.enter_answers:
         return question.answers[0]
-    return given
+    return None
+
+
+def _let_keys_choose(is_asking: bool) -> None:
+    """Let Tab and the arrows go from answer to answer while something is asked; else they are keys of the view."""
+    io, keyboard = imgui.get_io(), int(imgui.ConfigFlags_.nav_enable_keyboard)
+    io.config_flags = io.config_flags | keyboard if is_asking else io.config_flags & ~keyboard

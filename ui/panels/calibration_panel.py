@@ -7,6 +7,7 @@ from imgui_bundle import imgui
 
 from gsrain_engine.rain.calibration import Calibration
 from gsrain_engine.rain.calibration_curves import CalibrationCurves, calibration_curves, spectrum_at
+from gsrain_engine.rain.fitting.calibrate import FittedCalibration
 from gsrain_engine.session.rain.calibrations import compare_calibration, use_calibration, use_fitted_calibration
 from gsrain_engine.session.rain.rain_lab import RainLab
 from gsrain_engine.session.session import Session
@@ -78,9 +79,12 @@ def _fit(session: Session) -> None:
         imgui.set_item_tooltip(
             "Fit to drops that don't give the instrument's own rain rate: snow, insects, other classes."
         )
+    if fitted is not None:
+        _fitted(session, lab, fitted)
     _measured(lab)
-    if fitted is None:
-        return
+
+
+def _fitted(session: Session, lab: RainLab, fitted: FittedCalibration) -> None:
     imgui.separator_text(visible_name(f"Fitted: {fitted.calibration.name}"))
     imgui.text_wrapped(f"{fitted.records_used:,} of {fitted.records:,} records in {len(fitted.rows)} rows")
     if fitted.rate_check is not None and len(lab.measured) > 1:

@@ -36,7 +36,7 @@ _PRESETS = {
 }
 _NUMBERS = {"steps": 50, "width_px": 16, "gaussians": 5000, "held_out": 1}
 """Whole numbers that are shown, each with the step of its buttons."""
-_OWN_BODY: dict[str, bool | None] = {"where it is a drive": None, "look for it": True, "don't look": False}
+_OWN_BODY: dict[str, bool | None] = {"automatic (drives only)": None, "look for it": True, "don't look": False}
 _RECONSTRUCT_HELP = (
     "Fit Gaussians to the capture in the background. Snapshots come into the view meanwhile;\n"
     "undo brings the present scene back. A report shows the held-out views."

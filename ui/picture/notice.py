@@ -25,16 +25,17 @@ def _busy(words: str, corner: ImVec2, width: int, height: int) -> None:
     _end()
 
 
-def _problem(session: Session, words: str, corner: ImVec2, width: int, height: int) -> None:
+def _problem(session: Session, problem: str, corner: ImVec2, width: int, height: int) -> None:
     wide = min(_WIDTH_EM * imgui.get_font_size(), width - 2 * _MARGIN)
     padding = imgui.get_style().window_padding
+    words = f"{icons_fontawesome_6.ICON_FA_TRIANGLE_EXCLAMATION}  {problem}"
     text_height = imgui.calc_text_size(words, False, wide - 2 * padding.x).y
     tall = text_height + 2 * padding.y + imgui.get_frame_height_with_spacing()
     at = ImVec2(corner.x + width - wide - _MARGIN, corner.y + height - tall - _MARGIN)
     imgui.set_cursor_screen_pos(at)
     if _begin("problem", wide):
         imgui.push_style_color(imgui.Col_.text, (0.95, 0.45, 0.38, 1.0))
-        imgui.text_wrapped(f"{icons_fontawesome_6.ICON_FA_TRIANGLE_EXCLAMATION}  {words}")
+        imgui.text_wrapped(words)
         imgui.pop_style_color()
         if imgui.button("Close"):
             session.problem = None
@@ -44,7 +45,7 @@ def _problem(session: Session, words: str, corner: ImVec2, width: int, height: i
         imgui.set_item_tooltip("Show the log, which has the rest.")
         imgui.same_line()
         if imgui.button("Copy"):
-            imgui.set_clipboard_text(words)
+            imgui.set_clipboard_text(problem)
         imgui.set_item_tooltip("Put the sentence on the clipboard.")
     _end()
 

@@ -22,6 +22,9 @@ _DRAWING = (
 )  # fmt: skip
 """Functions of Dear ImGui that are given text."""
 
+_ONLY_WORDS = ("separator_text", "progress_bar")
+"""Those of them whose text is no identity in any part, and hides what stands behind ## all the same."""
+
 
 def label(name: str, identity: str = "") -> str:
     """Return a widget's label that shows a name; `identity` tells it from others of that name.
@@ -33,8 +36,7 @@ def label(name: str, identity: str = "") -> str:
 
 def visible_name(name: str) -> str:
     """Return a name as the visible part of a label."""
-    words = escaped(name).replace("##", "# #").replace("##", "# #")
-    return f"{words} " if words.endswith("#") else words  # with the ## behind it, its last sign would be one of three
+    return _all_words(escaped(name))
 
 
 def plain_identity(name: str) -> str:
@@ -50,14 +52,22 @@ def escape_all_text() -> None:
     for name in _DRAWING:
         function = getattr(imgui, name)
         if not hasattr(function, "__wrapped__"):
-            setattr(imgui, name, _escaping(function))
+            setattr(imgui, name, _escaping(function, _all_words if name in _ONLY_WORDS else None))
     if not hasattr(imgui.ImDrawList.add_text, "__wrapped__"):
         imgui.ImDrawList.add_text = _escaping(imgui.ImDrawList.add_text)
 
 
-def _escaping(function: Callable[..., Any]) -> Callable[..., Any]:
+def _all_words(text: str) -> str:
+    """Return text of which Dear ImGui hides nothing."""
+    words = text.replace("##", "# #").replace("##", "# #")
+    return f"{words} " if words.endswith("#") else words  # with the ## behind it, its last sign would be one of three
+
+
+def _escaping(function: Callable[..., Any], words: Callable[[str], str] | None = None) -> Callable[..., Any]:
     @wraps(function)
     def drawing(*arguments: Any, **options: Any) -> Any:
+        if words is not None:
+            arguments = tuple(words(each) if isinstance(each, str) else each for each in arguments)
         if options:
             options = {key: _visible(value) for key, value in options.items()}
         return function(*map(_visible, arguments), **options)
@@ -69,7 +79,7 @@ def _visible(value: Any) -> Any:
     if isinstance(value, str):
         return value if value.isascii() and value.isprintable() else _HIDDEN.sub(_escape, value)
     if isinstance(value, list) and value and isinstance(value[0], str):  # the choices of a combo box
-        return [_visible(each) for each in value]
+        return [_all_words(_visible(each)) for each in value]
     return value
 
 

@@ -7,6 +7,8 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 from jaxtyping import Float64
 
+from .names import visible_name
+
 _HEIGHT_EM, _LEGEND_EM = 12.0, 4.5
 
 
@@ -39,9 +41,9 @@ def plot(
 
 def line(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> None:
     """Draw a line."""
-    implot.plot_line(label, np.ascontiguousarray(x), np.ascontiguousarray(y))
+    implot.plot_line(visible_name(label), np.ascontiguousarray(x), np.ascontiguousarray(y))
 
 
 def points(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> None:
     """Draw points."""
-    implot.plot_scatter(label, np.ascontiguousarray(x), np.ascontiguousarray(y))
+    implot.plot_scatter(visible_name(label), np.ascontiguousarray(x), np.ascontiguousarray(y))

@@ -15,6 +15,8 @@ MOST_FRUSTUMS = 100
 """Those nearest to the eye are drawn: more of them hide what they stand in."""
 
 _NEAR = 1e-6
+_TIP = 0.5
+"""Of a pyramid's length: from nearer, its picture covers two thirds of the view or more."""
 
 
 class Frustum(NamedTuple):
@@ -44,9 +46,14 @@ class RecordedCameras:
 
 
 def frustums(cameras: RecordedCameras, views: Sequence[int], length_m: float, camera: Camera) -> list[Frustum]:
-    """Project the chosen views that are nearest to the eye into a picture, the farthest of them first."""
+    """Project the chosen views that are nearest to the eye into a picture, the farthest of them first.
+
+    Those at whose tip the eye is are left out: their pictures would hide the scene.
+    """
     chosen = np.asarray(views, np.int64)
     distances = np.linalg.norm(cameras.eyes[chosen] - camera.position, axis=1)
+    is_apart = distances > _TIP * length_m
+    chosen, distances = chosen[is_apart], distances[is_apart]
     nearest = chosen[np.argsort(distances, kind="stable")[:MOST_FRUSTUMS][::-1]]
     if not len(nearest):
         return []

@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from gsrain_engine.datasets.open_capture import capture_format
+from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.formats.known_files import KnownFiles
-from gsrain_engine.scene.open_scene import folder_to_read, is_built_in, open_to_draw
+from gsrain_engine.scene.open_scene import folder_to_read, is_built_in, open_to_draw, scene_folder_of
 from gsrain_engine.scene.scene import Scene
 
 from .autosave import Autosaved
@@ -23,8 +25,30 @@ class Opened:
     recovered: Autosaved | None = None
 
 
+class CaptureNamedError(SceneFormatError):
+    """A capture where a scene should be."""
+
+    def __init__(self, path: Path, kind: str) -> None:
+        """`kind` is the name of its row in the table of captures."""
+        super().__init__(path, f"this is a capture ({kind}), not a scene; File > Open a capture shows it")
+        self.path, self.kind = path, kind
+
+
 def read_opened(path: str) -> Opened:
-    """Read what a person names, as `open_to_draw` does, and raise what that raises."""
+    """Read what a person names, as `open_to_draw` does, and raise what that raises.
+
+    Raises `CaptureNamedError` where it is a capture instead.
+    """
+    try:
+        return _read(path)
+    except SceneFormatError:
+        kind = capture_format(path) if scene_folder_of(Path(path)) is None else None
+        if kind is None:
+            raise
+        raise CaptureNamedError(Path(path), kind.name) from None
+
+
+def _read(path: str) -> Opened:
     known = KnownFiles()
     home = folder_to_read(Path(path)) if not is_built_in(path) else None
     stamp = stamp_of(home) if home is not None else None  # before reading: a change meanwhile is noticed

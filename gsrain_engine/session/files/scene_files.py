@@ -29,7 +29,7 @@ from ..log import told
 from ..questions import Answer, Question, nothing
 from .autosave import Autosaved
 from .disk_stamp import DiskStamp, has_changed, stamp_of
-from .opened import Opened, read_kept, read_opened
+from .opened import CaptureNamedError, Opened, read_kept, read_opened
 from .recent_files import add_recent_file, forget_recent_file, recent_files
 from .recovery import Recovery
 from .saved_scene import saved_scene
@@ -145,7 +145,7 @@ class SceneFiles:
     def close_scene(self) -> None:
         """Go to an empty scene."""
         empty = Opened(Scene("no scene"), "", None, None, KnownFiles())
-        self.when_safe("close it", lambda: self._enter(empty))
+        self.when_safe("close the scene", lambda: self._enter(empty))
 
     def when_safe(self, what: str, act: Callable[[], None], *, ends_program: bool = False) -> None:
         """Do what takes the place of the document or ends the program; with work or unsaved changes, ask first.
@@ -294,6 +294,14 @@ class SceneFiles:
         file = Answer("Export...", lambda: self.export_to(path), f"Write {path}; changes stay unsaved.")
         return Question("Save writes a scene folder", text, (into, file, _CANCEL))
 
+    def _capture_question(self, named: CaptureNamedError) -> Question:
+        text = (
+            f"{named.path.name} is a capture ({named.kind}), not a scene: pictures, which the Capture panel shows "
+            "and makes a scene of. Open it there?"
+        )
+        show = Answer("Open the capture", lambda: self._session.captures.open(named.path), f"Read {named.path}.")
+        return Question("Open a capture", text, (show, _CANCEL))
+
     def give_up(self) -> None:
         """Take it that a person does not want the changes: nothing is kept of them."""
         self._saved = self._session.history.present
@@ -311,6 +319,8 @@ class SceneFiles:
             try:
                 self._arriving = opening.result()
                 self._session.stage(StagedScene(path, self._arriving.scene, is_opened=True))
+            except CaptureNamedError as error:
+                self._session.questions.ask(self._capture_question(error))
             except Exception as error:  # whatever a file can do to its reader: the window lives on
                 self._session.problem = told(f"{path} can't be opened", error)
                 if Path(path) in self.recent and not Path(path).exists():
@@ -354,11 +364,13 @@ class SceneFiles:
         if self._saving is not None:  # the newest is what counts
             self._next_saving = lambda: self._begin_saving(path, act)
             return
+        self._session.problem = None
         scene, document, known = saved_scene(self._session), self._session.history.present, self._known
         future = self._thread.submit(_write, scene, path, known)
         self._saving = _Saving(f"Save {path.name}", future, path.resolve(), document, act)
 
     def _begin_exporting(self, scene: Scene, path: Path) -> None:
+        self._session.problem = None
         future = self._thread.submit(write_scene, scene, path)
         self._exporting.append(_Exporting(f"Export {path.name}", future, path))
 

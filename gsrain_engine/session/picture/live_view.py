@@ -302,8 +302,10 @@ class LiveView:
             self._preparing = self._preparations(self._staged.scene) if self._staged is not None else iter(())
         while self._staged is not None:
             if next(self._preparing, self) is self:
-                is_opened, self._staged = self._staged.is_opened, None
                 session.swap_in()
+                if session.staged is self._staged:  # held back by a question
+                    break
+                is_opened, self._staged = self._staged.is_opened, None
                 if is_opened:
                     self._sky.forget()
                     self._opengl.arrays.release_all_but((each.gaussians, each.wet_sh) for each in session.scene.members)

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 from gsrain_engine.render.recording import Recording
 from gsrain_engine.scene.formats.known_files import KnownFiles
@@ -38,7 +39,10 @@ class RecordingJob(CopiedSceneJob):
     def cancel(self) -> None:
         """Stop; what has been recorded so far can be played."""
         if self.state == "running":
-            logger.info("Stopped recording %s: what there is of it can be played", self._output)
+            left = (
+                "what there is of it can be played" if Path(self._output).exists() else "nothing of it was written yet"
+            )
+            logger.info("Stopped recording %s: %s", self._output, left)
         super().cancel()
 
     def _said(self, error: Exception) -> str:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from gsrain_engine.scene.errors import SceneFormatError
 from gsrain_engine.scene.flattening import left_out_when_flat
@@ -196,6 +197,9 @@ def test_an_export_asks_before_it_replaces_a_file_and_needs_the_name_of_one(sess
     session.files.export_to(tmp_path / "broken" / "out.ply")
     settle(session)
     assert "can't be exported" in session.problem
+    session.files.export_to(tmp_path / "other.spz")
+    settle(session)
+    assert session.problem is None  # it is about what was tried before
 
 
 @pytest.mark.parametrize("name", ["out.ply", "out.SPZ", "out.ksplat"])
@@ -236,6 +240,44 @@ def test_opening_another_scene_asks_about_changes(session, home, tmp_path, label
     answer(session, label)
     assert (session.scene.name == "other") == is_opened
     assert (read_scene(home).layers[0].marks.deleted is not None) == is_saved
+
+
+@pytest.mark.parametrize(("label", "is_saved"), [("Save", True), ("Don't save", False), ("Cancel", False)])
+def test_a_scene_that_was_being_read_waits_for_the_answer_about_the_present_one(
+    session, home, tmp_path, label, is_saved
+):
+    write_scene(small_scene("other"), tmp_path / "other")
+    delete_every_third(session)
+    session.open(str(tmp_path / "other"))
+    session.questions.answer(session.questions.present.answers[1])
+    session.leave()
+    settle(session)
+    assert "the changes of crossing before you quit" in session.questions.present.text and session.has_changes
+    answer(session, label)
+    assert session.is_leaving == (label != "Cancel")
+    assert session.scene.name == "other" or session.is_leaving
+    assert (read_scene(home).layers[0].marks.deleted is not None) == is_saved
+
+
+def test_a_capture_is_offered_as_one(session, tmp_path):
+    photos, broken = tmp_path / "photos", tmp_path / "broken"
+    for folder in (photos, broken):
+        folder.mkdir()
+        Image.new("RGB", (32, 24)).save(folder / "one.jpg")
+    (broken / "scene.json").write_text("{")
+    session.open(str(photos))
+    settle(session)
+    assert "photos is a capture (image folder)" in session.questions.present.text and session.problem is None
+    answer(session, "Open the capture")
+    while session.captures.busy is not None:
+        session.update(0.0)
+    assert session.captures.path == photos and session.scene.name == "crossing"
+    session.files.import_from(str(photos))
+    settle(session)
+    assert "File > Open a capture" in session.problem
+    session.open(str(broken))
+    settle(session)
+    assert "scene.json" in session.problem and session.questions.present is None
 
 
 def test_leaving_asks_and_cancel_stays(session):

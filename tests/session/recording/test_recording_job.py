@@ -1,6 +1,7 @@
 """Recordings from a session, in the processes that a window would start; compared with those of the command line."""
 
 import shlex
+import shutil
 from dataclasses import replace
 from multiprocessing.connection import wait as wait_for
 
@@ -129,7 +130,9 @@ def test_what_is_there_is_only_replaced_when_a_person_says_so(session, tmp_path)
     session.recorder.record_to(target)
     session.questions.answer(replace_it)
     assert len(session.jobs) == 1
+    shutil.rmtree(target)
     session.jobs[0].cancel()
+    assert session.log.lines[-1].text == f"Stopped recording {target}: nothing of it was written yet"
 
 
 def test_a_still_is_what_the_view_shows(session, tmp_path):
