@@ -149,6 +149,15 @@ def test_archives_larger_than_asked_for_are_not_unpacked(tmp_path: Path):
     with pytest.raises(ValueError, match=r"more than 0\.001 GB"):
         read_archive(path, 1_000_000)
     assert read_archive(path)["x"].sum() == 0
+    path.write_bytes(archive(none=header((0, 3)), one=header(()) + b"\0\0\x80?"))
+    assert read_archive(path)["none"].shape == (0, 3) and read_archive(path)["one"] == 1.0
+
+
+def test_weights_are_not_waited_for_from_a_pipe(tmp_path: Path):
+    pytest.importorskip("safetensors")
+    os.mkfifo(tmp_path / "a.safetensors")
+    with limited_time(5), pytest.raises(OSError, match="not a file but a pipe"):
+        read_arrays(tmp_path / "a.safetensors")
 
 
 @pytest.mark.parametrize("length", [1 << 40, 1 << 63, 0, 2])

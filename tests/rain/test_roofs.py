@@ -82,6 +82,16 @@ def test_roads_walls_poles_and_floaters_are_no_roofs(sets):
     assert find_roofs(parts(*sets)) is None
 
 
+def test_a_canopy_of_three_by_three_cells_is_a_roof_wherever_it_stands():
+    """A bus stop's: seven of the nine cells around its middle. A narrower one is a lamp."""
+    for x, y in ((0.0, 0.0), (5.25, 3.4), (11.1, -6.8)):
+        canopy = sheet((x, y, 3), (x + 1.5, y + 1.5, 3), spacing=0.1, thickness=0.005)
+        lamp = sheet((x, y, 3), (x + 0.3, y + 0.3, 3), spacing=0.1, thickness=0.005)
+        assert find_roofs(parts(ROAD, lamp)) is None
+        middle = np.array([[x + 0.75, y + 0.75, 1.0], [x + 0.75, y + 3.5, 1.0], [x - 2.5, y + 0.75, 1.0]])
+        assert find_roofs(parts(ROAD, canopy)).shelter(middle).tolist() == [True, False, False]
+
+
 def test_strays_far_away_change_nothing():
     strays = sheet((0, 0, 0), (0, 0, 0))
     away = [np.array([[x, x, 3.0]], np.float32) for x in (1e12, -1e12, 4e4)]

@@ -69,11 +69,11 @@ def test_numbers_that_run_otherwise_than_their_dimensions_say(tmp_path: Path):
 def test_dimensions_told_by_their_units_and_a_stated_interval(tmp_path: Path):
     path = tmp_path / "file.nc"
     dataset = spectra_dataset().rename(diameter="row", velocity="column")
-    dataset["interval"] = ("time", np.array([30.0, 30.0, np.nan]), {"units": "s"})
+    dataset["interval"] = ("time", np.array([3600.0, 3601.0, np.nan]), {"units": "s"})
     dataset.to_netcdf(path, engine="h5netcdf")
     spectra = read_disdrometer(path).spectra
     np.testing.assert_array_equal(spectra.counts[0], rain())
-    np.testing.assert_array_equal(spectra.seconds, [30, 30, 60])
+    np.testing.assert_array_equal(spectra.seconds, [3600, 60, 60])  # an hour at most
 
 
 def test_missing_counts_skip_their_record(tmp_path: Path):

@@ -9,6 +9,7 @@ import pytest
 from extension_package import titled_blocks
 from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, UnknownKindError, read_disdrometer
 from gsrain_engine.rain.disdrometer.joss_waldvogel import RD80_EDGES_MM
+from gsrain_engine.rain.disdrometer.minute_tables import drops_of_densities
 from gsrain_engine.rain.disdrometer.tables import TableColumns, load_columns
 from gsrain_engine.rain.fitting.measured_file import open_measured
 from parsivel_text import DRY, RAIN_MM_H, rain, velocity_major
@@ -125,6 +126,14 @@ def rd80_row(minute: int, drops: int, rate: str) -> str:
     counts = [0] * 20
     counts[7] = drops  # 1.232 to 1.429 mm
     return "\t".join(["2022-01-01", f"18:{minute:02d}:00", "0", "60", *map(str, counts), rate, "0,001", "0,002"])
+
+
+def test_densities_become_the_drops_that_would_have_been_counted():
+    """N(D) dD times what drops sweep past in the time: 1 mm at 3.95 m/s, 3 mm at 8.03 m/s (Atlas et al. 1973)."""
+    density = np.array([[100.0, 0.0], [200.0, 10.0]])
+    counted = drops_of_densities(density, np.array([0.5, 1.5, 4.5]), 0.005, np.array([60.0, 30.0]))
+    slow, fast = 9.65 - 10.3 * np.exp(-0.6), 9.65 - 10.3 * np.exp(-1.8)
+    assert counted == pytest.approx(0.005 * np.array([[100 * slow * 60, 0], [200 * slow * 30, 30 * fast * 30]]))
 
 
 def test_classes_of_the_rd80_lie_around_its_mean_diameters():

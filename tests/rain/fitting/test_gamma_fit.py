@@ -90,3 +90,5 @@ def test_two_classes_are_too_few_for_two_numbers():
     density[0, 3:5] = 10
     with pytest.raises(ValueError, match="at least three diameter classes"):
         fit_by_likelihood(density, EDGES)
+    density[0, 5] = 1
+    assert np.isfinite(fit_by_likelihood(density, EDGES).shape[0])

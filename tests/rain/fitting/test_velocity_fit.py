@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.rain.calibration import atlas_velocity
-from gsrain_engine.rain.fitting.velocity_fit import assumed_velocity, fit_velocity
+from gsrain_engine.rain.fitting.velocity_fit import assumed_velocity, fit_velocity, speed_weights
 
 D = np.linspace(0.3, 5, 20)
 TRUE = -0.342 * D**2 + 3.379 * D + 0.340
@@ -14,6 +14,11 @@ def test_an_exact_quadratic_comes_back():
     fit = fit_velocity(D, TRUE, np.geomspace(1e5, 20, 20))
     assert fit.coefficients == pytest.approx((-0.342, 3.379, 0.340), rel=1e-6)
     assert fit.r2 == pytest.approx(1)
+
+
+def test_a_class_counts_by_the_standard_error_of_its_mean():
+    """0.8 m/s over the root of its drops, and 0.2 m/s that a quadratic misses: 16 drops are worth 1 / sqrt(0.08)."""
+    assert speed_weights(np.array([1.0, 16.0, 1e15])) == pytest.approx([1 / np.sqrt(0.68), 1 / np.sqrt(0.08), 5.0])
 
 
 def test_scarce_classes_and_giants_are_left_out():

@@ -11,6 +11,8 @@ from gsrain_engine.scene.formats.gaussian_files import write_gaussians
 from gsrain_engine.scene.formats.memory import check_room
 from gsrain_engine.scene.gaussians import Gaussians
 
+from .test_compressed_ply import BOUNDS, compressed
+
 
 def some(count=100):
     f, rng = np.float32, np.random.default_rng(0)
@@ -42,6 +44,17 @@ def test_every_format_looks_before_it_reads(tmp_path, free_bytes, suffix, harmon
         read_scene(path)
     free_bytes(needed)
     assert read_scene(path).layers[0].gaussians.sh.shape[1] == harmonics
+
+
+def test_a_compressed_ply_with_harmonics_has_room_for_the_third_degree(tmp_path, free_bytes):
+    """Its header does not yet say how many of them there are."""
+    (tmp_path / "a.ply").write_bytes(compressed(257, 2, BOUNDS[:6], sh_rows=257))
+    needed = 1.6 * 4 * 257 * (11 + 48)
+    free_bytes(needed)
+    assert len(read_scene(tmp_path / "a.ply").layers[0].gaussians) == 257
+    free_bytes(needed - 1)
+    with pytest.raises(SceneFormatError, match="257 Gaussians need"):
+        read_scene(tmp_path / "a.ply")
 
 
 def test_what_just_fits_is_opened_and_big_scenes_are_announced(tmp_path, free_bytes, caplog):
