@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import type_checker
+from repository import REPOSITORY
 
 type_checker.check_first_calls()
 
@@ -29,8 +30,6 @@ os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's llvmpipe
 
 # Garbage is looked for less often, and not among what collecting tests has loaded: two million objects, which all stay.
 gc.set_threshold(20_000)
-
-REPOSITORY = Path(__file__).resolve().parent.parent
 
 
 def pytest_collection_modifyitems(items):

@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 from typing import NamedTuple
 
-from conftest import REPOSITORY
+from repository import REPOSITORY
 
 PAGES = sorted(
     each.relative_to(REPOSITORY)

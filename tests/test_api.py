@@ -8,10 +8,10 @@ import sys
 import pytest
 from PIL import Image
 
-from conftest import REPOSITORY
 from extension_package import titled_blocks
 from gsrain_engine import api
 from gsrain_engine.scene.formats import write_scene
+from repository import REPOSITORY
 from small_scene import small_scene
 
 

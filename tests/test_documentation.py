@@ -10,8 +10,8 @@ import yaml
 from cyclopts import CycloptsError, UnknownCommandError, UnknownOptionError
 
 from app.command_line import COMMANDS, app, benchmarks, evaluations
-from conftest import REPOSITORY
 from documentation import PAGES, anchors_of, commands_of, links_of, text_of
+from repository import REPOSITORY
 from ui.actions import ACTIONS
 from ui.panels.table import PANELS
 from ui.shortcuts import chord_name

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from conftest import REPOSITORY
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.scene.formats import read_scene, write_scene
 from gsrain_engine.scene.members import Layer
 from gsrain_engine.scene.paths.files import read_camera_path
 from gsrain_engine.scene.track import Track
+from repository import REPOSITORY
 from small_scene import patch, small_scene
 
 FOLDER = REPOSITORY / "examples"

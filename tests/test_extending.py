@@ -12,7 +12,6 @@ from PIL import Image
 
 from app.command_line import BAD_INPUT, run
 from app.commands.installed_extensions import describe, installed_extensions
-from conftest import REPOSITORY
 from extension_package import installed, titled_blocks
 from gsrain_engine.api import Agent, Scenario, Simulation, drive_through, open_agent
 from gsrain_engine.appearance.methods import usable_methods
@@ -21,6 +20,7 @@ from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from gsrain_engine.extensions import GROUPS
 from gsrain_engine.rain.disdrometer.files import read_disdrometer
 from gsrain_engine.scene.formats import read_scene, write_scene
+from repository import REPOSITORY
 from small_scene import small_scene
 
 PAGE = REPOSITORY / "docs" / "extending.md"

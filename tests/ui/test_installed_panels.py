@@ -4,8 +4,8 @@ import logging
 
 import pytest
 
-from conftest import REPOSITORY
 from extension_package import installed, titled_blocks
+from repository import REPOSITORY
 from window_driver import Driver, imgui
 
 _SULKS = """

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import linalg
 
-from conftest import REPOSITORY
 from gsrain_engine.evaluate.distribution import frechet as module
 from gsrain_engine.evaluate.distribution.frechet import frechet_distance, nuclear_norm, rotated
 from gsrain_engine.evaluate.distribution.kernel_distance import kernel_distance
+from repository import REPOSITORY
 
 
 def _set(count, features, seed, shift=0.0, scale=1.0):

@@ -13,6 +13,7 @@ from gsrain_engine.rain.disdrometer.minute_tables import drops_of_densities
 from gsrain_engine.rain.disdrometer.tables import TableColumns, load_columns
 from gsrain_engine.rain.fitting.measured_file import open_measured
 from parsivel_text import DRY, RAIN_MM_H, rain, velocity_major
+from repository import REPOSITORY
 
 FIELDS_32 = [f"{i:02d}" for i in range(32)]
 
@@ -301,7 +302,7 @@ def test_columns_do_not_describe_what_is_no_text(tmp_path: Path):
 
 
 def test_the_documented_example_prints_what_the_page_says(tmp_path: Path):
-    blocks = titled_blocks(Path(__file__).parents[3] / "docs" / "guide" / "calibration.md")
+    blocks = titled_blocks(REPOSITORY / "docs" / "guide" / "calibration.md")
     for name in ("counter.csv", "counter.yaml"):
         (tmp_path / name).write_text(blocks[name], encoding="utf-8")
     measured = open_measured(tmp_path / "counter.csv", load_columns(tmp_path / "counter.yaml")).measured()
@@ -309,6 +310,6 @@ def test_the_documented_example_prints_what_the_page_says(tmp_path: Path):
 
 
 def test_every_field_of_a_description_is_documented():
-    text = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
+    text = (REPOSITORY / "docs" / "formats.md").read_text(encoding="utf-8")
     section = text.partition("## Tables of disdrometers\n")[2].partition("\n## ")[0]
     assert [field for field in TableColumns.__struct_fields__ if f"`{field}`" not in section] == []

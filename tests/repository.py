@@ -1,0 +1,5 @@
+"""The checkout that is tested."""
+
+from pathlib import Path
+
+REPOSITORY = Path(__file__).resolve().parent.parent
