@@ -4,8 +4,8 @@ Places are drawn by a seed from rain, scene formats, metrics and limits. A mutan
 printed as a line of code to be read: either the change makes no difference, or a test is missing. All runs are forks of
 this process in a copy of the checkout. First come all tests, as they are: which pass there, how long each takes, which
 lines it runs. A mutant gets those that run its line, nearest first, then the quickest; one in a compiled kernel, whose
-lines no tracer sees, or in what runs at import, those of its file, and kernels compiled anew. In the end tests that
-noticed anything run once more without a change: what fails then is no verdict.
+lines no tracer sees, or in what runs at import, those of its file or that name it, and kernels compiled anew. In the
+end tests that noticed anything run once more without a change: what fails then is no verdict.
 
 Verdicts are lines of a file, written as they come: a second call goes on where the first ended, and `--survivors`
 judges anew those that survived. Tests that were changed are measured anew; where the program has been, remove
