@@ -4,8 +4,8 @@ Places are drawn by a seed from rain, scene formats, metrics and limits. A mutan
 printed as a line of code to be read: either the change makes no difference, or a test is missing. All runs are forks of
 this process in a copy of the checkout. First come all tests, as they are: which pass there, how long each takes, which
 lines it runs. A mutant gets those that run its line, nearest first, then the quickest; one in a compiled kernel, whose
-lines no tracer sees, or in what runs at import, those of its file, and kernels compiled anew. In the end tests that
-noticed anything run once more without a change: what fails then is no verdict.
+lines no tracer sees, or in what runs at import, those of its file or that name it, and kernels compiled anew. In the
+end tests that noticed anything run once more without a change: what fails then is no verdict.
 
 Verdicts are lines of a file, written as they come: a second call goes on where the first ended, and `--survivors`
 judges anew those that survived. Tests that were changed are measured anew; where the program has been, remove
@@ -392,10 +392,12 @@ class TestChoice:
         """Tests for a mutant."""
         lines = self._lines.get(mutant.file, {})
         found = {name for line in (mutant.line, mutant.statement_line) for name in lines.get(str(line), ())}
-        if mutant.has_no_line or not found:
-            found = {name for names in lines.values() for name in names}
         folder = "tests/" + "/".join(Path(mutant.file).parts[1:-1]) + "/"
-        if not found:  # constants, which run no line
+        if mutant.has_no_line or not found:
+            naming = self._naming(Path(mutant.file).stem)
+            found = {name for names in lines.values() for name in names}
+            found |= {name for name in self._seconds if name.split("::")[0] in naming}
+        if not found:
             found = {name for name in self._seconds if name.startswith(folder)}
         own = f"test_{Path(mutant.file).stem}.py::"
         near = sorted(found, key=lambda name: (own not in name, not name.startswith(folder), self._seconds[name]))
@@ -406,6 +408,11 @@ class TestChoice:
             chosen.append(name)
             total += self._seconds[name]
         return chosen
+
+    def _naming(self, module: str) -> set[str]:
+        """Files of tests that name a module: one that compares its constants runs none of its lines."""
+        files = {name.split("::")[0] for name in self._seconds}
+        return {file for file in files if f"{module} import" in (ROOT / file).read_text(encoding="utf-8")}
 
     @property
     def known(self) -> set[str]:

@@ -72,7 +72,6 @@ def test_what_is_just_within_the_limits_is_read():
     assert yaml_values(b"x: " + b"9" * 400) == {"x": 10**400 - 1}
     assert yaml_values(b"x: 0." + b"5" * 398) == {"x": 5 / 9}
     assert len(yaml_values(b"x: " + b"a" * 100_000)["x"]) == 100_000
-    assert len(yaml_values(b"[" + b"a," * 299_998 + b"a]")) == 299_999
     assert yaml_values(b"[" * 100 + b"]" * 100)
 
 
