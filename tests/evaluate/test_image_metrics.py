@@ -110,9 +110,9 @@ def test_a_speck_at_the_rim_of_a_window_counts_fully():
 
 def test_pictures_that_cannot_be_compared_are_refused():
     x, y = _pictures()
-    with pytest.raises(ValueError, match="one shape"):
+    with pytest.raises(ValueError, match="one size"):
         check_pair((24, 31, 3), (23, 31, 3), None)
-    with pytest.raises(ValueError, match="one shape"):
+    with pytest.raises(ValueError, match="one size"):
         check_pair((24, 31), (24, 31), None)
     with pytest.raises(ValueError, match="mask is"):
         check_pair((24, 31, 3), (24, 31, 3), (31, 24))

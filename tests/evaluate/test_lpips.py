@@ -109,7 +109,7 @@ def test_pictures_too_small_are_refused():
     lpips = Lpips(random_weights("alex", divisor=16))
     with pytest.raises(ValueError, match="at least 32 px"):
         lpips(torch.zeros(31, 40, 3), torch.zeros(31, 40, 3))
-    with pytest.raises(ValueError, match="of one shape"):
+    with pytest.raises(ValueError, match="of one size"):
         lpips(torch.zeros(40, 41, 3), torch.zeros(40, 40, 3))
     assert lpips(torch.zeros(32, 32, 3), torch.zeros(32, 32, 3)) == 0
 
