@@ -265,7 +265,15 @@ def raw():
 
 
 def sent(data):
-    return lambda connection, over: connection.sendall(data)
+    """Send this and hang up; all of the request is taken in, else the system resets the connection over the rest."""
+
+    def answer(connection, over):
+        connection.sendall(data)
+        connection.shutdown(socket.SHUT_WR)
+        while connection.recv(1 << 16):
+            pass
+
+    return answer
 
 
 def dripped(start, piece):
