@@ -1,4 +1,4 @@
-"""How fast a camera path is flown: as its file says, as a person asks, or, for photos without times, as one walks."""
+"""The speed of a camera path: as its file says, as a person asks, or, for photos without times, as one walks."""
 
 from dataclasses import dataclass, replace
 

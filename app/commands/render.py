@@ -250,7 +250,7 @@ def _viewpoint(
 def _timing(
     scene: Scene, viewpoint: Camera | CameraPath, camera_path: Path | None, recording: Recording, speed: float | None
 ) -> TimedPath | None:
-    """How fast a camera path is flown; None for anything else: a drive has its own speed, and cameras stand."""
+    """The speed of a camera path; None for anything else: a drive has its own speed, and cameras stand."""
     is_path = camera_path is not None or scene.path is not None
     if isinstance(viewpoint, CameraPath) and is_path and not recording.cameras:
         return timed_path(viewpoint, speed, is_still=recording.is_still)

@@ -36,7 +36,7 @@ _LEAST_MATCHED = 0.02
 
 WITHOUT_POSE = "no attention between views: it is not known where their cameras stood"
 NO_OVERLAP = "no attention between views: no other one is known to show the same place"
-"""What is left out of views that stand by themselves."""
+"""Notes on what was left out of views that stand by themselves."""
 
 log = logging.getLogger(__name__)
 

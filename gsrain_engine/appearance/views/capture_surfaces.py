@@ -1,4 +1,4 @@
-"""Where the surfaces and the sky of a capture's views are: from its depth, its lidar, or its points."""
+"""Surfaces and sky of a capture's views: from its depth, its lidar, or its points."""
 
 from functools import cached_property
 
