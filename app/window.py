@@ -18,6 +18,7 @@ from imgui_bundle import glfw_utils
 
 from gsrain_engine.drive.rollouts.files import ROLLOUT_SUFFIXES
 from gsrain_engine.render.lost_context import LostContextError, check_context, watch, watch_of
+from gsrain_engine.session.freed_memory import use_one_arena
 from gsrain_engine.session.preferences.preferences import load_preferences
 from gsrain_engine.untrusted.printable import escaped
 from ui.style import apply_style
@@ -84,6 +85,7 @@ class Window:
     """An empty window that becomes a workspace."""
 
     def __init__(self, begin: "Callable[[], Session]", backend: "WindowBackend" = "auto") -> None:
+        use_one_arena()
         self._begin = begin
         self._backend: WindowBackend = backend
         self._context: moderngl.Context | None = None

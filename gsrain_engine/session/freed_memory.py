@@ -4,20 +4,37 @@ import ctypes
 import sys
 import time
 from concurrent.futures import Executor
+from typing import Any
 
 _REST_S = 1.0
 """What work leaves behind is let go of in the frames after it."""
+_ARENA_MAX = -8  # of glibc's malloc.h
+
+
+def use_one_arena() -> None:
+    """Allocate for all threads in one place, which `return_freed_memory` can empty; to be called before threads start.
+
+    glibc gives each thread an arena of its own, and never returns the free end of any but the first: a window that
+    runs jobs in threads grew from 560 to 770 MB in ten of them, with 140 MB in use.
+    """
+    mallopt = _of_glibc("mallopt")
+    if mallopt is not None:
+        mallopt(_ARENA_MAX, 1)
 
 
 def return_freed_memory() -> None:
     """Give memory that was freed back to the system; does nothing where the C library is not glibc.
 
-    glibc keeps what lies below something that is still in use, in an arena for every thread: hundreds of megabytes
-    after some large scenes and jobs. malloc_trim(3) returns all whole pages, in some 20 ms.
+    glibc keeps what lies below something that is still in use: hundreds of megabytes after some large scenes and jobs.
+    malloc_trim(3) returns all whole pages, in some 20 ms.
     """
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    trim = _of_glibc("malloc_trim")
     if trim is not None:
         trim(0)
+
+
+def _of_glibc(function: str) -> Any:
+    return getattr(ctypes.CDLL(None), function, None) if sys.platform == "linux" else None
 
 
 class FreedMemory:

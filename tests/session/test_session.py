@@ -1,4 +1,6 @@
 import platform
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor, wait
 from threading import Event
 
@@ -190,6 +192,44 @@ def test_freed_memory_goes_back_to_the_system():
     return_freed_memory()
     assert psutil.Process().memory_info().rss < full - 100e6
     assert len(kept) == 200
+
+
+LEFT_BY_THREADS = """
+import sys, threading
+import psutil
+from gsrain_engine.raster.freed_memory import keep_freed_memory
+from gsrain_engine.session.freed_memory import return_freed_memory, use_one_arena
+
+if sys.argv[1] == "one":
+    use_one_arena()
+keep_freed_memory()
+before = psutil.Process().memory_info().rss
+together = threading.Barrier(4)
+
+def work():
+    blocks = [bytearray(1_000_000) for _ in range(40)]
+    together.wait(60)
+    blocks.clear()
+    together.wait(60)
+
+threads = [threading.Thread(target=work) for _ in range(4)]
+for each in threads:
+    each.start()
+for each in threads:
+    each.join()
+return_freed_memory()
+print(psutil.Process().memory_info().rss - before)
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have no arenas")
+def test_memory_that_threads_free_goes_back_only_from_one_arena():
+    def left_behind(arenas: str) -> float:
+        """Bytes of 160 MB."""
+        command = [sys.executable, "-c", LEFT_BY_THREADS, arenas]
+        return float(subprocess.run(command, capture_output=True, check=True, text=True).stdout)
+
+    assert left_behind("one") < 20e6 < 100e6 < left_behind("many")
 
 
 def test_memory_is_returned_a_second_after_work(monkeypatch):
