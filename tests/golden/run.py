@@ -1,0 +1,98 @@
+"""Runs the command line of one checkout in a folder of its own, and hashes what it makes."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+
+from .cases import Case, Chain, chains
+from .digests import digests_of
+
+HERE = Path(__file__).resolve().parent
+REPOSITORY = HERE.parents[1]
+_LONGEST_S = 600
+
+
+@contextmanager
+def checkout(commit: str) -> Iterator[Path]:
+    """Give the folder of a commit's files, which is removed afterwards; of a folder's name, that folder."""
+    if Path(commit).is_dir():
+        yield Path(commit).resolve()
+        return
+    git = ["git", "-C", str(REPOSITORY)]
+    with tempfile.TemporaryDirectory(prefix="gsrain-golden-") as temporary:
+        tree = Path(temporary) / "tree"
+        subprocess.run([*git, "worktree", "add", "--quiet", "--detach", str(tree), commit], check=True)
+        try:
+            yield tree
+        finally:
+            subprocess.run([*git, "worktree", "remove", "--force", str(tree)], check=True)
+
+
+def hashes(tree: Path, *, workers: int = 2, only: str = "", keep: Path | None = None,
+           tell: Callable[[str], None] = print) -> dict[str, str]:  # fmt: skip
+    """Hash what a checkout makes, by name; `only` takes chains with a case whose name contains it.
+
+    `keep` is a folder where all files that were made stay, to look at differences.
+    """
+    with tempfile.TemporaryDirectory(prefix="gsrain-golden-") as temporary:
+        folder = Path(temporary) if keep is None else keep.resolve()
+        environment = _environment(tree, Path(temporary))
+        chosen = [chain for chain in chains() if any(only in case.name for case in chain)]
+        begun = time.monotonic()
+
+        def done(chain: Chain) -> dict[str, str]:
+            found = _run_chain(chain, folder / _name(chain), environment)
+            tell(f"{time.monotonic() - begun:4.0f} s  {_name(chain)}: {len(found)} hashes")
+            return found
+
+        first = done(chosen[0])  # alone: it compiles kernels and builds the street
+        with ThreadPoolExecutor(workers) as pool:
+            return dict(sorted(pair for found in (first, *pool.map(done, chosen[1:])) for pair in found.items()))
+
+
+def _name(chain: Chain) -> str:
+    return chain[0].name.replace("/", "_").replace(" ", "_")
+
+
+def _environment(tree: Path, temporary: Path) -> dict[str, str]:
+    """Return an environment in which nothing of this machine's user is found, and the checkout's packages come first."""
+    own = {f"XDG_{each}_HOME": str(temporary / "home" / each.lower()) for each in ("CACHE", "CONFIG", "DATA", "STATE")}
+    passed = {key: value for key, value in os.environ.items() if not key.startswith(("GSRAIN_", "NUMBA_CACHE"))}
+    return passed | own | {"PYTHONPATH": str(tree), "NO_COLOR": "1", "COLUMNS": "120"}
+
+
+def _run_chain(chain: Chain, folder: Path, environment: dict[str, str]) -> dict[str, str]:
+    shutil.copytree(HERE / "saved", folder / "saved", ignore=shutil.ignore_patterns("__pycache__"))
+    found: dict[str, str] = {}
+    for case in chain:
+        for _, pattern in case.results:
+            (folder / pattern).parent.mkdir(parents=True, exist_ok=True) if "*" not in pattern else None
+        found |= _run(case, folder, environment)
+    return found
+
+
+def _run(case: Case, folder: Path, environment: dict[str, str]) -> dict[str, str]:
+    command = [sys.executable, "-m", "app", *case.arguments]
+    ended = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=_LONGEST_S, check=False
+    )
+    if ended.returncode != 0:
+        said = (ended.stderr.strip() or ended.stdout.strip() or "nothing said").splitlines()[-1]
+        return {case.name: f"failed with {ended.returncode}: {said}"}
+    found: dict[str, str] = {}
+    for kind, pattern in case.results:
+        files = sorted(folder.glob(pattern))
+        if not files:
+            found[f"{case.name}: {pattern}"] = "absent"
+        for file in files:
+            label = str(file.relative_to(folder))
+            name = case.name if label.removesuffix(file.suffix) == case.name else f"{case.name}: {label}"
+            found |= digests_of(kind, file, name)
+    return found
