@@ -341,7 +341,6 @@ ALLOWED = {
     "gsrain_engine/untrusted/limits.py": "the place itself",
     "gsrain_engine/scene/file_lock.py": "locks, opened without waiting and never read",
     "gsrain_engine/scene/atomic_files.py": "brings to the disk what it has written",
-    "gsrain_engine/scene/formats/loading_times.py": "reads a folder that it has written, to time that",
     "gsrain_engine/scene/formats/scene_folder.py": "hashes a file that it has just written",
     "gsrain_engine/scene/open_scene.py": "hashes its own source",
     "gsrain_engine/kernel_cache.py": "looks into its own folder, which nobody else may write to",
