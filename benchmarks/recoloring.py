@@ -14,12 +14,13 @@ from matplotlib.figure import Figure
 
 from gsrain_engine.datasets.capture import View
 from gsrain_engine.evaluate.image_metrics import psnr
-from gsrain_engine.raster.rasterizer import rasterize
+from gsrain_engine.raster.cpu_renderer import CpuRenderer
 from gsrain_engine.reconstruct.recoloring.choice import chosen_pull
 from gsrain_engine.reconstruct.recoloring.problem import ColorProblem
 from gsrain_engine.reconstruct.recoloring.settings import RecolorSettings
 from gsrain_engine.reconstruct.recoloring.setup import SetUp, set_up
 from gsrain_engine.reconstruct.recoloring.views import TargetView
+from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
@@ -69,8 +70,14 @@ def street_views(scene: Scene, times_s: list[float], *, mesh: bool = False) -> I
         for mounted in scene.rigs[RIG]:
             camera = rig_camera(scene, RIG, mounted.name, time_s).resized(*SIZE)
             view = photographer.view(camera, time_s, f"{mounted.name} {time_s:.1f} s")
-            picture = rasterize(scene.parts(time_s), camera).rgba[..., :3] if not mesh else view.image / 255
+            picture = _drawn(scene, time_s, camera) if not mesh else view.image / 255
             yield TargetView(view.name, camera, time_s, known_change(picture, view))
+
+
+def _drawn(scene: Scene, time_s: float, camera: Camera) -> np.ndarray:
+    renderer = CpuRenderer()
+    renderer.draw(scene.parts(time_s), camera)
+    return renderer.read().rgba[..., :3]
 
 
 def street(*, mesh: bool = False) -> tuple[Scene, list[TargetView], list[TargetView]]:

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from gsrain_engine.datasets.capture import Capture, View
-from gsrain_engine.raster.rasterizer import rasterize
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Scene
+from rasterized import rasterize
 from reconstruct.small_street import small_street
 
 

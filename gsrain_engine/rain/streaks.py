@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Float64
 
 from gsrain_engine.scene.camera import Camera
 
@@ -38,11 +38,6 @@ class Shutter:
     """Focal length of the *output* image, whatever resolution is being drawn."""
 
 
-def axis_ratio(diameter_mm: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-    """Height over width of a falling drop; drops up to 1 mm are spheres (paper, eq. 4)."""
-    return np.where(diameter_mm > 1, AXIS_RATIO_SLOPE * diameter_mm + AXIS_RATIO_OFFSET, 1.0)
-
-
 def visible_distance_m(diameter_mm: Float64[np.ndarray, " n"], focal_px: float) -> Float64[np.ndarray, " n"]:
     """Distance d_m = f D at which a drop covers exactly one pixel, in metres (paper, eq. 6)."""
     return focal_px * diameter_mm * 1e-3
@@ -54,73 +49,3 @@ def circle_of_confusion_m(depth_m: Float64[np.ndarray, " n"], rain: Rain) -> Flo
     In the image it is c = f A |1/d - 1/d_focus| px, with f in px and A the aperture's diameter in metres.
     """
     return 1e-3 * rain.aperture_mm * np.abs(1 - depth_m / rain.focus_distance_m)
-
-
-def make_streaks(
-    positions_m: Float64[np.ndarray, "m 3"],
-    diameters_mm: Float64[np.ndarray, " m"],
-    velocities_m_s: Float64[np.ndarray, "m 3"],
-    shutter: Shutter,
-    rain: Rain,
-) -> Streaks:
-    """Turn drops into one to n_max Gaussians each, along the path the drop takes through the picture.
-
-    Opacity: eq. 5 with the speed across the line of sight (`world`: V itself, the paper's form), times eq. 7's
-    attenuation with distance. Copies: eq. 10-12. With the speed across, the integral of alpha over the image is the
-    drop's own cross-section, pi D^2 / 4 (f / d)^2, near and far, in focus and out of it: the circle of confusion adds a
-    sixteenth of its diameter's square to the variances, as a disc has.
-    """
-    diameters_m = diameters_mm * 1e-3
-    seen = velocities_m_s - shutter.velocity_m_s if rain.streak_frame == "camera" else velocities_m_s
-    to_drop = positions_m - shutter.camera.position
-    depth = to_drop @ shutter.camera.world_to_camera[2, :3]
-    sight = to_drop / np.maximum(np.linalg.norm(to_drop, axis=1, keepdims=True), 1e-9)
-    across = np.linalg.norm(seen - np.sum(seen * sight, axis=1, keepdims=True) * sight, axis=1)
-
-    speed = np.linalg.norm(seen, axis=1)
-    smearing = across if rain.streak_frame == "camera" else speed
-    alpha = np.minimum(1, diameters_m / np.maximum(smearing * shutter.exposure_s, 1e-12))
-    limit = visible_distance_m(diameters_mm, shutter.focal_px)
-    alpha = alpha * np.minimum(1, limit / np.maximum(depth, 1e-9))
-    alpha = np.where(depth > rain.critical_haze_coefficient * limit, rain.haze_opacity, alpha)
-    alpha = np.minimum(1, rain.streak_gain * alpha)
-
-    length = speed * shutter.exposure_s
-    copies = np.clip(np.rint(length / (axis_ratio(diameters_mm) * diameters_m)), 1, rain.max_copies).astype(np.int64)
-    # Copies overlap: their opacities would add up to sqrt(2 pi) alpha. This is exact on the streak's axis; beside it,
-    # where alpha is large, they add up to more than they should: a smaller width keeps the integral.
-    opacity = 1 - (1 - alpha) ** (1 / np.sqrt(2 * np.pi))
-    narrowing = alpha / np.maximum(np.sqrt(2 * np.pi) * opacity, 1e-30)
-    across_sigma = np.sqrt(np.pi / 32) * np.maximum(diameters_m, depth / shutter.focal_px) * narrowing
-    along_sigma = np.maximum(length / copies, across_sigma)
-
-    blur = circle_of_confusion_m(depth, rain) / 4
-    sine = across / np.maximum(speed, 1e-9)
-    seen_sigma = np.hypot(along_sigma * sine, across_sigma * np.sqrt(np.maximum(1 - sine**2, 0)))  # foreshortened
-    opacity = opacity * across_sigma / np.hypot(across_sigma, blur) * seen_sigma / np.hypot(seen_sigma, blur)
-    across_sigma, along_sigma = np.hypot(across_sigma, blur), np.hypot(along_sigma, blur)
-
-    owner, place = _copies(copies)
-    direction = seen / np.maximum(speed, 1e-9)[:, None]
-    offset = place * (length / copies)[owner]
-    return Streaks(
-        means=(positions_m[owner] + offset[:, None] * direction[owner]).astype(np.float32),
-        scales=np.stack([across_sigma, across_sigma, along_sigma], axis=1)[owner].astype(np.float32),
-        quaternions=_turn_z_to(direction)[owner].astype(np.float32),
-        opacities=opacity[owner].astype(np.float32),
-    )
-
-
-def _copies(counts: Int64[np.ndarray, " m"]) -> tuple[Int64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """For every copy, its drop and its place along the streak in spacings from the middle."""
-    owner = np.repeat(np.arange(len(counts)), counts)
-    number = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return owner, number - (counts[owner] - 1) / 2
-
-
-def _turn_z_to(direction: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "m 4"]:
-    """Unit quaternions of the shortest turns that take +z to unit vectors."""
-    # Half-way quaternion (1 + cos, z x direction); the sign of a streak's axis is free, so never turn by over 90 deg.
-    d = np.where(direction[:, 2:] < 0, -direction, direction)
-    quaternion = np.stack([1 + d[:, 2], -d[:, 1], d[:, 0], np.zeros(len(d))], axis=1)
-    return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)

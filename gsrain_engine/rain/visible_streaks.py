@@ -1,4 +1,4 @@
-"""The streaks that a camera can see, compiled: `make_streaks` without what lies outside the picture."""
+"""Compiled streak physics: moving drops to the streak Gaussians that a camera can see."""
 
 from typing import no_type_check
 
@@ -20,7 +20,13 @@ def make_visible_streaks(
     shutter: Shutter,
     rain: Rain,
 ) -> Streaks:
-    """Turn drops into streak Gaussians as `make_streaks` does, in its order, and leave out what no pixel shows."""
+    """Turn drops into one to n_max Gaussians each along their path through the picture; leave out what no pixel shows.
+
+    Opacity: eq. 5 with the speed across the line of sight (`world`: V itself, the paper's form), times eq. 7's
+    attenuation with distance. Copies: eq. 10-12. With the speed across, the integral of alpha over the image is the
+    drop's own cross-section, pi D^2 / 4 (f / d)^2, near and far, in focus and out of it: the circle of confusion adds a
+    sixteenth of its diameter's square to the variances, as a disc has.
+    """
     camera, most = shutter.camera, rain.max_copies
     rows = np.empty((len(positions_m) * most, 11), np.float32)
     kept = np.zeros(len(rows), np.bool_)
@@ -69,6 +75,8 @@ def _fill(
             if depth > phi * limit:
                 alpha = haze_opacity
             alpha = min(1.0, gain * alpha)
+            # Copies overlap: their opacities would add up to sqrt(2 pi) alpha. This is exact on the streak's axis; off
+            # it, where alpha is large, they add up to more than they should: a smaller width keeps the integral.
             opacity = 1 - (1 - alpha) ** (1 / np.sqrt(2 * np.pi))
 
             length = speed * exposure

@@ -138,10 +138,6 @@ class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         value = fields.get(name, getattr(key, name))
         return self.without_key(time_s, name).with_key(to_s, **{name: value})
 
-    def times_of(self, name: Keyed) -> list[float]:
-        """Times at which a field has a key."""
-        return self.key_times[name].tolist()
-
     @cached_property
     def key_times(self) -> dict[Keyed, Float64[np.ndarray, " n"]]:
         """Times of each field's keys, rising; empty where it has none."""

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from gsrain_engine.rain.falling_rain import FallingRain
-from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.render.frame import Frame
 from gsrain_engine.render.look import Look
 from gsrain_engine.render.statistics import RenderStatistics, Stopwatch
@@ -34,7 +33,7 @@ class CpuRenderer:
         self,
         parts: Sequence[Part],
         camera: Camera,
-        rain: FallingRain | RainGaussians | None = None,
+        rain: FallingRain | None = None,
         *,
         with_depth: bool = False,
         look: Look = "splats",
@@ -64,9 +63,7 @@ class CpuRenderer:
         assert self._frame is not None, "draw before reading the picture"
         return self._frame
 
-    def _project(
-        self, parts: Sequence[Part], camera: Camera, rain: FallingRain | RainGaussians | None, *, as_points: bool
-    ) -> Splats:
+    def _project(self, parts: Sequence[Part], camera: Camera, rain: FallingRain | None, *, as_points: bool) -> Splats:
         self.statistics.gaussians = sum(part.drawn_count for part in parts)
         if rain is None:
             return project(parts, camera, as_points=as_points)

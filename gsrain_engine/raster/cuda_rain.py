@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from gsrain_engine.rain.falling_rain import FallingRain
-from gsrain_engine.rain.rain_gaussians import RainGaussians
 
 from .compositing import MAX_ALPHA
 from .depth_slabs import DepthSlabs
@@ -39,7 +38,7 @@ def edge_colors(depths: Tensor, slabs: DepthSlabs) -> Tensor:
     return torch.clamp(1 - torch.abs(position[:, None] - torch.arange(len(edges), device=depths.device)), min=0)
 
 
-def in_rain(rgba: Tensor, by_edge: Tensor, slabs: DepthSlabs, rain: FallingRain | RainGaussians) -> Tensor:
+def in_rain(rgba: Tensor, by_edge: Tensor, slabs: DepthSlabs, rain: FallingRain) -> Tensor:
     """Put rain over and into a scene: premultiplied display colour and alpha (h, w, 4).
 
     `rgba` is the clear scene, `by_edge` its weights (h, w, edges) from `edge_colors`. With the scene's colour B and

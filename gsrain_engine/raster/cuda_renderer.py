@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from gsrain_engine.rain.falling_rain import FallingRain
-from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.render.frame import Frame
 from gsrain_engine.render.look import Look
 from gsrain_engine.render.statistics import RenderStatistics, Stopwatch
@@ -57,7 +56,7 @@ class CudaRenderer:
         self,
         parts: Sequence[Part],
         camera: Camera,
-        rain: FallingRain | RainGaussians | None = None,
+        rain: FallingRain | None = None,
         *,
         with_depth: bool = False,
         look: Look = "splats",

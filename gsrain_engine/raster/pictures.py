@@ -4,7 +4,6 @@ import numpy as np
 from jaxtyping import Float32, Int32
 
 from gsrain_engine.rain.falling_rain import FallingRain
-from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.render.frame import Frame
 from gsrain_engine.render.heat_colors import heat_colors
 from gsrain_engine.render.look import FARTHEST_M, MOST_FRAGMENTS, NEAREST_M, Look
@@ -40,7 +39,7 @@ def draw_in_rain(
     splats: Splats,
     order: Int32[np.ndarray, " drawn"],
     tiles: TileLists,
-    rain: FallingRain | RainGaussians,
+    rain: FallingRain,
     *,
     with_depth: bool,
 ) -> Frame:
@@ -48,10 +47,7 @@ def draw_in_rain(
     if rain.mixing == "linear":
         rgba, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
     else:  # one more colour (the paper's form)
-        if isinstance(rain, FallingRain):
-            rgba = composite_with_veil(splats.shapes, splats.colors, rain.color.astype(np.float32), tiles)
-        else:
-            rgba, _ = composite(splats.shapes, splats.colors, tiles)
+        rgba = composite_with_veil(splats.shapes, splats.colors, rain.color.astype(np.float32), tiles)
         if not with_depth:
             return Frame(rgba)
         alone = bin_into_tiles(splats.shapes, order[~splats.is_rain[order]], tiles.width, tiles.height)

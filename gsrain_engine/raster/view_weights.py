@@ -15,6 +15,9 @@ from .projection import project
 from .splats import Splats
 from .tiles import TileLists, bin_into_tiles
 
+_LEAST_ALPHA = np.float32(1e-3)
+"""Where alpha is below this nothing is there."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewWeights:
@@ -48,3 +51,8 @@ def view_weights(parts: Sequence[Part], camera: Camera) -> ViewWeights:
     """Project, sort and bin the parts for one camera (in the world, metres)."""
     splats = project(parts, camera)
     return ViewWeights(splats, bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height))
+
+
+def expected(weighted: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Mean of a blended channel over what was blended; 0 where there is nothing."""
+    return np.where(weight > _LEAST_ALPHA, weighted / np.maximum(weight, _LEAST_ALPHA), np.float32(0))

@@ -7,7 +7,6 @@ import moderngl
 import numpy as np
 
 from gsrain_engine.rain.falling_rain import FallingRain
-from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.members import Part
 
@@ -62,15 +61,14 @@ class ProjectionPass:
         store: SplatStore,
         parts: Sequence[Part],
         camera: Camera,
-        rain: FallingRain | RainGaussians | None,
+        rain: FallingRain | None,
         look: Look,
     ) -> Slots:
         """Write the visible splats of parts and rain into the store."""
         rows = [(part if part.opacity > 0 else part._replace(limit=0), False) for part in parts]
-        field = rain.streak_field if isinstance(rain, FallingRain) else None
+        field = rain.streak_field if rain is not None else None
         if rain is not None:
-            given = rain.haze_gaussians if isinstance(rain, FallingRain) else rain.gaussians
-            rows.append((Part(given, np.eye(4)), True))
+            rows.append((Part(rain.haze_gaussians, np.eye(4)), True))
         fixed = sum(_slots(part.drawn_count) for part, _ in rows)
         slots = Slots(fixed + (streak_slots(field) if field else 0), fixed, field.rain.max_copies if field else 0)
         store.reserve(slots.all)
@@ -92,7 +90,7 @@ class ProjectionPass:
                 shader["wetness"] = part.wetness if part.is_wet else 0.0
             self._dispatch(shader, part, camera, first)
             first += _slots(part.drawn_count)
-        if field is not None and rain is not None and isinstance(rain, FallingRain):
+        if field is not None and rain is not None:
             self.drops.project(store, field, rain.color, fixed)
         self._context.memory_barrier()
         return slots

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 from gsrain_engine.rain.falling_rain import FallingRain
-from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.members import Part
 
@@ -31,7 +30,7 @@ class Renderer(Protocol):
         self,
         parts: Sequence[Part],
         camera: Camera,
-        rain: FallingRain | RainGaussians | None = None,
+        rain: FallingRain | None = None,
         *,
         with_depth: bool = False,
         look: Look = "splats",

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float32
 
 from gsrain_engine.rain.falling_rain import FallingRain
-from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.members import Part
@@ -82,7 +81,7 @@ class SplatRenderer:
         self,
         parts: Sequence[Part],
         camera: Camera,
-        rain: FallingRain | RainGaussians | None = None,
+        rain: FallingRain | None = None,
         *,
         with_depth: bool = False,
         look: Look = "splats",
@@ -97,7 +96,7 @@ class SplatRenderer:
         )
         falling = rain if look == "splats" else None
         self._drawn.haze_drawn = falling.haze_drawn if falling is not None else 0
-        self._makes_drops = isinstance(falling, FallingRain) and falling.streak_field is not None
+        self._makes_drops = falling is not None and falling.streak_field is not None
         before = self.context.detect_framebuffer()
         self.context.memory_barrier()  # else shaders may write what those of the last frame still read
         with self._timers.stage("project"):

@@ -90,8 +90,8 @@ def test_inception_gives_fid_and_its_features_are_kept(sets, tmp_path, capsys):
     ("options", "said"),
     [
         ([], "no weights of Inception (for FID)"),
-        (["--extractor", "fid"], "--extractor fid: expected one of inception, efficientnet-lite0"),
-        (["--extractor", "pixels16,vgg16", "--weights", "a.pth"], "--weights: belongs to one extractor"),
+        (["--extractor", "fid"], "--extractor fid: expected one of inception, pixels16"),
+        (["--extractor", "pixels16,inception", "--weights", "a.pth"], "--weights: belongs to one extractor"),
         (["--extractor", "pixels16", "--resamples", "3"], "--resamples 3: must be within 20..10000"),
         (["--weights", "nothing.pth"], "nothing.pth: no such file"),
         (["--device", "tpu"], "--device"),

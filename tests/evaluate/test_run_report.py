@@ -79,7 +79,7 @@ def test_what_comes_from_outside_is_escaped():
     )
     page = report_page(report)
     assert "<script>alert" not in page
-    assert page.count("&lt;script&gt;alert(&quot;&amp;&quot;)&lt;/script&gt;") >= 10
+    assert page.count("&lt;script&gt;alert(&#34;&amp;&#34;)&lt;/script&gt;") >= 10
     assert page.count("<script>") == 1  # the page's own
     _Page(page)
 

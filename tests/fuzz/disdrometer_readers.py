@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.rain.disdrometer.class_mask import read_class_mask
 from gsrain_engine.rain.disdrometer.files import read_disdrometer
 from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
 from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError, Reading
@@ -198,6 +197,6 @@ DISDROMETER_READERS = (
         )
         for name, write in (("netcdf-hdf5", _netcdf("h5netcdf")), ("netcdf-own", _own), ("netcdf-disdrodb", _disdrodb))
     ),  # each file in a process of its own first
-    Reader("class-mask", _mask, read_class_mask, DisdrometerFileError, (("*", damaged_text),)),
+    Reader("class-mask", _mask, _read, DisdrometerFileError, (("*", damaged_text),)),
 )
 """Logs and tables, and what looks at them."""

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from given_rain import given_rain
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.rain.rainfall import Rainfall, View
 from gsrain_engine.rain.streaks import Shutter
 from gsrain_engine.rain.visible_streaks import make_visible_streaks
@@ -65,7 +65,7 @@ def streak_picture(renderer, diameter_mm, distance_m, exposure_s, phase=(0.0, 0.
     color = np.full((len(made.means), 3), grey, np.float32)
     drops = Gaussians(made.means, made.scales, made.quaternions, made.opacities, sh_from_color(color))
     light = srgb_to_linear(color[0]).astype(np.float32)
-    renderer.draw(list(parts), camera, RainGaussians(drops, light, rain.rain_light, 1, 0))
+    renderer.draw(list(parts), camera, given_rain(drops, light, rain.rain_light))
     return renderer.read().rgba.astype(np.float64)
 
 
@@ -131,7 +131,7 @@ def test_no_drop_whose_blur_reaches_the_picture_is_left_out(renderer):
         made = each.streaks(each.drops())
         color = sh_from_color(np.full((len(made.means), 3), 0.8, np.float32))
         drops = Gaussians(made.means, made.scales, made.quaternions, made.opacities, color)
-        renderer.draw([], camera, RainGaussians(drops, np.full(3, 0.6, np.float32), "linear", 1, 0))
+        renderer.draw([], camera, given_rain(drops, np.full(3, 0.6, np.float32), "linear"))
         alphas.append(renderer.read().rgba[..., 3])
     assert alphas[0].max() > 0.002
     assert len(wider.drops().numbers) > 1.3 * len(field.drops().numbers)

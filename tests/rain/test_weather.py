@@ -37,21 +37,21 @@ def test_each_field_has_keys_of_its_own():
     assert rain.wind_m_s == pytest.approx((3.0, -1.0))
     assert (rain.exposure_s, rain.seed) == (0.01, 7)
     assert weather.without("intensity_mm_h").rain_at(Rain(intensity_mm_h=1.0), 30.0).intensity_mm_h == 1.0
-    assert weather.without("wind_m_s").times_of("wind_m_s") == []
+    assert weather.without("wind_m_s").key_times["wind_m_s"].tolist() == []
     assert weather.key_at(40.0).intensity_mm_h == 12.0
 
 
 def test_keys_are_set_moved_and_removed():
     weather = TRIANGLE.with_key(40.0, intensity_mm_h=5.0)
-    assert weather.times_of("intensity_mm_h") == [10.0, 40.0, 70.0]
+    assert weather.key_times["intensity_mm_h"].tolist() == [10.0, 40.0, 70.0]
     assert weather.key_at(40.0).intensity_mm_h == 5.0
     moved = weather.moved_key(40.0, 80.0, "intensity_mm_h", intensity_mm_h=3.0)
-    assert moved.times_of("intensity_mm_h") == [10.0, 70.0, 80.0]
+    assert moved.key_times["intensity_mm_h"].tolist() == [10.0, 70.0, 80.0]
     assert moved.key_at(80.0).intensity_mm_h == 3.0
     with_wind = weather.with_key(40.0, wind_m_s=(1.0, 1.0)).moved_key(40.0, 50.0, "intensity_mm_h")
-    assert with_wind.times_of("wind_m_s") == [40.0]
-    assert with_wind.times_of("intensity_mm_h") == [10.0, 50.0, 70.0]
-    assert weather.without_key(10.0).times_of("intensity_mm_h") == [40.0, 70.0]
+    assert with_wind.key_times["wind_m_s"].tolist() == [40.0]
+    assert with_wind.key_times["intensity_mm_h"].tolist() == [10.0, 50.0, 70.0]
+    assert weather.without_key(10.0).key_times["intensity_mm_h"].tolist() == [40.0, 70.0]
     assert weather.without_key(11.0) is weather
 
 

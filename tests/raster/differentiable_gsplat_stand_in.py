@@ -2,8 +2,8 @@
 
 import torch
 
-from gsrain_engine.raster.gradients.dense import alphas_of, display_colors, in_image, weights_of
 from gsrain_engine.scene.camera import Camera
+from oracles.dense_gradients import alphas_of, display_colors, in_image, weights_of
 
 
 def rasterization(

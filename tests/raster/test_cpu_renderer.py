@@ -4,15 +4,15 @@ import numba
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.rain_gaussians import RainGaussians
+from given_rain import GivenRain, given_rain
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
 from gsrain_engine.raster.rain_light import RAIN_LINES, add_rain_light
-from gsrain_engine.raster.reference import rasterize_in_linear_light_slowly, rasterize_slowly
 from gsrain_engine.raster.tiles import TILE
 from gsrain_engine.render.frame import Frame
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.members import Part
 from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
+from oracles.rasterizer import rasterize_in_linear_light_slowly, rasterize_slowly
 
 from .raster_scenes import random_gaussians, small_camera
 
@@ -25,12 +25,12 @@ def scene(count: int = 120, seed: int = 0, opacity: float | None = None) -> list
     return [Part(Gaussians(g.means, g.scales, g.quaternions, opacities, g.sh), np.eye(4))]
 
 
-def drops(mixing: str = "linear", opacity: float = 0.3, seed: int = 9, count: int = 80) -> RainGaussians:
+def drops(mixing: str = "linear", opacity: float = 0.3, seed: int = 9, count: int = 80) -> GivenRain:
     g = random_gaussians(count, seed)
     scales = (g.scales * np.array([0.1, 0.1, 1])).astype(np.float32)
     color = np.tile(linear_to_srgb(LIGHT).astype(np.float32), (count, 1))
     gaussians = Gaussians(g.means, scales, g.quaternions, g.opacities * np.float32(opacity), sh_from_color(color))
-    return RainGaussians(gaussians, LIGHT, mixing, count, 0)
+    return given_rain(gaussians, LIGHT, mixing)
 
 
 def drawn(parts, rain=None, camera=None, with_depth=True) -> Frame:
@@ -39,7 +39,7 @@ def drawn(parts, rain=None, camera=None, with_depth=True) -> Frame:
     return renderer.read()
 
 
-def slowly(parts, rain: RainGaussians) -> np.ndarray:
+def slowly(parts, rain: GivenRain) -> np.ndarray:
     everything = [*parts, Part(rain.gaussians, np.eye(4))]
     flags = [None] * len(parts) + [np.ones(len(rain.gaussians), bool)]
     if rain.mixing == "linear":
@@ -79,8 +79,8 @@ def test_rain_that_is_not_seen_changes_no_bit(rain):
 
 def test_pixels_without_rain_keep_every_bit():
     one = drops(opacity=1).gaussians.take(np.arange(3))
-    clear, rainy = drawn(scene(500)), drawn(scene(500), RainGaussians(one, LIGHT, "linear", 3, 0))
-    alone = drawn([], RainGaussians(one, LIGHT, "linear", 3, 0)).rgba[..., 3] > 0
+    clear, rainy = drawn(scene(500)), drawn(scene(500), given_rain(one, LIGHT, "linear"))
+    alone = drawn([], given_rain(one, LIGHT, "linear")).rgba[..., 3] > 0
     assert 0.01 < alone.mean() < 0.9
     np.testing.assert_array_equal(rainy.rgba[~alone], clear.rgba[~alone])
     assert (rainy.rgba[alone] != clear.rgba[alone]).any()

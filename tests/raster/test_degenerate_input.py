@@ -5,14 +5,14 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.rain.rain_gaussians import RainGaussians
+from given_rain import GivenRain, given_rain
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
 from gsrain_engine.raster.projection import NEAR_M, project
-from gsrain_engine.raster.reference import rasterize_slowly
 from gsrain_engine.render.frame import Frame
 from gsrain_engine.render.look import Look
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.members import Part
+from oracles.rasterizer import rasterize_slowly
 
 from .raster_scenes import random_gaussians, small_camera
 
@@ -40,7 +40,7 @@ def changed(gaussians: Gaussians, what: list[tuple[str, int, int, float]]) -> Ga
     return Gaussians(**arrays)
 
 
-def drawn(gaussians: Gaussians, look: Look = "splats", rain: RainGaussians | None = None) -> Frame:
+def drawn(gaussians: Gaussians, look: Look = "splats", rain: GivenRain | None = None) -> Frame:
     renderer = CpuRenderer()
     renderer.draw([Part(gaussians, HERE)], small_camera(), rain, with_depth=True, look=look)
     return renderer.read()
@@ -68,7 +68,7 @@ def test_pictures_stay_finite_and_repeat_themselves(what, look):
 @given(what=changes, mixing=st.sampled_from(["linear", "display"]))
 def test_strange_rain_stays_finite_and_repeats_itself(what, mixing):
     drops = changed(random_gaussians(COUNT, 2, 1), [each for each in what if each[0] != "sh"])
-    rain = RainGaussians(drops, np.ones(3, np.float32), mixing, COUNT, 0)
+    rain = given_rain(drops, np.ones(3, np.float32), mixing)
     frame = drawn(random_gaussians(COUNT, 1, 1), rain=rain)
     assert is_sound(frame)
     assert frame.rgba.tobytes() == drawn(random_gaussians(COUNT, 1, 1), rain=rain).rgba.tobytes()

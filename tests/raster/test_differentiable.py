@@ -8,10 +8,10 @@ from hypothesis import given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
 from gsrain_engine.raster.differentiable import render_gaussians  # noqa: E402
-from gsrain_engine.raster.gradients.dense import render_densely  # noqa: E402
-from gsrain_engine.raster.rasterizer import rasterize  # noqa: E402
 from gsrain_engine.scene.camera import Camera  # noqa: E402
 from gsrain_engine.scene.members import Part  # noqa: E402
+from oracles.dense_gradients import render_densely  # noqa: E402
+from rasterized import rasterize  # noqa: E402
 
 from .raster_scenes import random_gaussians, small_camera  # noqa: E402
 from .trained_scenes import NAMES, camera, display, gradients, rendered, tensors, with_values  # noqa: E402

@@ -4,15 +4,15 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.rain_gaussians import RainGaussians
+from given_rain import given_rain
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.raster.reference import rasterize_slowly
 from gsrain_engine.render.frame import Frame
 from gsrain_engine.render.heat_colors import heat_colors, layer_color
 from gsrain_engine.render.look import FARTHEST_M, MOST_FRAGMENTS, NEAREST_M, Look
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.members import Part
+from oracles.rasterizer import rasterize_slowly
 
 from .raster_scenes import random_gaussians, small_camera
 
@@ -52,7 +52,7 @@ def straight(frame: Frame, row: int = 20, column: int = 20) -> np.ndarray:
 @pytest.mark.parametrize("look", [look for look in LOOKS if look != "splats"])
 def test_looks_show_the_scene_without_rain_and_are_finite(look):
     parts = [Part(random_gaussians(300, 1, 1), HERE), Part(random_gaussians(100, 2), HERE)]
-    rain = RainGaussians(random_gaussians(50, 3), np.ones(3, np.float32), "linear", 50, 0)
+    rain = given_rain(random_gaussians(50, 3), np.ones(3, np.float32), "linear")
     frame = seen(parts, look, small_camera())
     assert np.isfinite(frame.rgba).all()
     assert frame.rgba.max() > 0.3

@@ -10,8 +10,6 @@ import pytest
 from gsrain_engine.raster import projection, tint
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
 from gsrain_engine.raster.projection import FEW, project
-from gsrain_engine.raster.rasterizer import rasterize
-from gsrain_engine.raster.reference import rasterize_slowly
 from gsrain_engine.raster.view_weights import view_weights
 from gsrain_engine.render.look import Look
 from gsrain_engine.scene.gaussians import Gaussians
@@ -19,6 +17,8 @@ from gsrain_engine.scene.grading import Grading, graded
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Part
 from gsrain_engine.session.picture.cpu_picture import compile_kernels
+from oracles.rasterizer import rasterize_slowly
+from rasterized import rasterize
 
 from .raster_scenes import random_gaussians, small_camera
 

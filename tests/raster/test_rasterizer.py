@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsrain_engine.raster.projection import project
-from gsrain_engine.raster.rasterizer import rasterize
-from gsrain_engine.raster.reference import rasterize_slowly, sh_basis_slowly
 from gsrain_engine.scene.camera import Camera, look_at, read_camera
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.members import Part
+from oracles.rasterizer import rasterize_slowly, sh_basis_slowly
+from rasterized import rasterize
 
 from .raster_scenes import random_gaussians, small_camera
 

@@ -3,12 +3,12 @@ import numpy as np
 import pytest
 
 from gsrain_engine.raster.projection import view_directions
-from gsrain_engine.raster.rasterizer import rasterize
-from gsrain_engine.raster.reference import rasterize_slowly, sh_basis_slowly
 from gsrain_engine.raster.spherical_harmonics import harmonics
 from gsrain_engine.raster.view_weights import view_weights
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.members import Part
+from oracles.rasterizer import rasterize_slowly, sh_basis_slowly
+from rasterized import rasterize
 
 from .raster_scenes import random_gaussians, small_camera
 

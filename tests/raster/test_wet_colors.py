@@ -5,10 +5,10 @@ import pytest
 
 from gsrain_engine.raster.cpu_renderer import CpuRenderer
 from gsrain_engine.raster.projection import FEW, project
-from gsrain_engine.raster.rasterizer import rasterize
-from gsrain_engine.raster.reference import rasterize_slowly
 from gsrain_engine.scene.members import Part
 from gsrain_engine.scene.wet_colors import blended_sh
+from oracles.rasterizer import rasterize_slowly
+from rasterized import rasterize
 
 from .raster_scenes import random_gaussians, small_camera
 from .test_marked_parts import COLORS, some_of

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
-from gsrain_engine.raster.rasterizer import rasterize
 from gsrain_engine.reconstruct.recoloring.views import TargetView
 from gsrain_engine.scene.scene import Scene
+from rasterized import rasterize
 
 from .small_street import small_street
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import Capture, View
-from gsrain_engine.raster.rasterizer import rasterize
 from gsrain_engine.reconstruct.beginning.actor_layers import actor_layers, points_of_box
 from gsrain_engine.scene.members import Part
+from rasterized import rasterize
 
 from .drive_capture import ROAD_Z, box, drive_capture
 

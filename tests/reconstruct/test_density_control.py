@@ -3,10 +3,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gsrain_engine.raster.rasterizer import rasterize
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.members import Part
+from rasterized import rasterize
 
 from .random_splats import random_splats
 

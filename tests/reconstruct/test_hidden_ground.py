@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.raster.rasterizer import rasterize
 from gsrain_engine.reconstruct.beginning.camera_way import camera_way
 from gsrain_engine.reconstruct.beginning.hidden_ground import hidden_ground
 from gsrain_engine.reconstruct.beginning.shortened import LONGEST, shortened
@@ -11,6 +10,7 @@ from gsrain_engine.reconstruct.beginning.surfels import SPREAD
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.members import Part
+from rasterized import rasterize
 
 from .drive_capture import ROAD_Z, drive_capture
 from .small_street import flat_patch

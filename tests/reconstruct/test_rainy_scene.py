@@ -12,7 +12,6 @@ from gsrain_engine.appearance.views.scene_views import scene_views
 from gsrain_engine.appearance.wet.scene_surroundings import SceneSurroundings
 from gsrain_engine.appearance.wet.settings import WetSettings
 from gsrain_engine.appearance.wet.transfer import WetTransfer
-from gsrain_engine.raster.rasterizer import rasterize
 from gsrain_engine.reconstruct.rainy_scene import rainy_scene
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import SH_C0
@@ -21,6 +20,7 @@ from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
+from rasterized import rasterize
 
 from .small_street import small_street
 

@@ -3,11 +3,23 @@ import numpy as np
 from gsrain_engine.raster.projection import view_directions
 from gsrain_engine.raster.spherical_harmonics import harmonics
 from gsrain_engine.raster.view_weights import view_weights
-from gsrain_engine.reconstruct.recoloring.solver import ColorTarget, apply_normal, colors_seen, plain_pull, solve_colors
+from gsrain_engine.reconstruct.recoloring.solver import (
+    DIRECTIONAL_TIKHONOV,
+    TIKHONOV,
+    ColorTarget,
+    apply_normal,
+    colors_seen,
+    solve_colors,
+)
 from gsrain_engine.reconstruct.recoloring.weights import weights_of
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.members import Part
+
+
+def plain_pull(k: int, tikhonov: float = TIKHONOV) -> np.ndarray:
+    """Pull on k harmonics that is the same for all Gaussians."""
+    return (tikhonov * np.where(np.arange(k) == 0, 1, DIRECTIONAL_TIKHONOV)).astype(np.float32)[None, :, None]
 
 
 def ball(count: int = 300, seed: int = 0) -> Part:

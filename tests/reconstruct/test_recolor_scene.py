@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from gsrain_engine.evaluate.image_metrics import psnr
-from gsrain_engine.raster.rasterizer import rasterize
 from gsrain_engine.reconstruct.recoloring.recolor_scene import Recolored, recolor_scene
 from gsrain_engine.reconstruct.recoloring.settings import RecolorSettings
 from gsrain_engine.scene.gaussians import SH_C0
 from gsrain_engine.scene.scene import Scene
+from rasterized import rasterize
 
 from .changed_street import changed, pictures, street_and_pictures, with_image
 

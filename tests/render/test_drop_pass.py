@@ -7,10 +7,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from given_rain import given_rain
 from gsrain_engine.rain.drop_field import CLASS_STRIDE, drops_at
 from gsrain_engine.rain.drop_sizes import CLASSES
 from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.rain.rain_gaussians import RainGaussians
 from gsrain_engine.rain.rainfall import Rainfall, View
 from gsrain_engine.rain.roofs import Roofs
 from gsrain_engine.rain.weather import Weather, WeatherKey
@@ -101,7 +101,7 @@ def test_draws_what_the_compiled_kernels_make(context, changes):
     rain = falling(**changes)
     renderer.draw([], CAMERA, rain)
     made_there, statistics = renderer.read().rgba, renderer.statistics
-    given = RainGaussians(rain.gaussians, rain.light_linear, rain.mixing, rain.drops_drawn, rain.haze_drawn)
+    given = given_rain(rain.gaussians, rain.light_linear, rain.mixing)
     renderer.draw([], CAMERA, given)
     made_here = renderer.read().rgba
     assert np.linalg.norm(made_here) > 1

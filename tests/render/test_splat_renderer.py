@@ -5,7 +5,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.rain.rain_gaussians import RainGaussians
+from given_rain import given_rain
 from gsrain_engine.render.depth_sort import DepthSort
 from gsrain_engine.render.splat_renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera
@@ -29,7 +29,7 @@ def gaussians(means, scales=0.1, opacities=0.9, colors=(1.0, 0.5, 0.25)):
 
 
 def rain(gaussians, mixing="linear", light=(0.5, 0.5, 0.5)):
-    return RainGaussians(gaussians, np.array(light, np.float32), mixing, len(gaussians), 0)
+    return given_rain(gaussians, np.array(light, np.float32), mixing)
 
 
 @pytest.fixture

@@ -44,14 +44,14 @@ def test_a_change_of_a_keyed_field_is_a_key_at_the_present_time(session):
     session.clock.time_s = 4.5  # time goes on while the mouse is held
     session.change_rain("Intensity", "drag", intensity_mm_h=8.0, haze=False)
     session.end_gesture()
-    assert session.weather.times_of("intensity_mm_h") == [0.0, 4.0, 10.0]
+    assert session.weather.key_times["intensity_mm_h"].tolist() == [0.0, 4.0, 10.0]
     assert session.weather.key_at(4.0).intensity_mm_h == 8.0
     assert not session.rain.haze
     session.change_rain("Intensity", "drag", intensity_mm_h=1.0)
-    assert session.weather.times_of("intensity_mm_h") == [0.0, 4.0, 4.5, 10.0]
+    assert session.weather.key_times["intensity_mm_h"].tolist() == [0.0, 4.0, 4.5, 10.0]
     session.undo()
     session.undo()
-    assert session.weather.times_of("intensity_mm_h") == [0.0, 10.0]
+    assert session.weather.key_times["intensity_mm_h"].tolist() == [0.0, 10.0]
 
 
 def test_drops_go_on_from_where_they_are_when_keys_change(session):

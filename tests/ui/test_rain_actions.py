@@ -66,9 +66,9 @@ def test_keys_and_shower(session):
     session.clock.time_s = 8.0
     for name, field in (("intensity", "intensity_mm_h"), ("wind", "wind_m_s"), ("exposure", "exposure_s")):
         do(session, f"Key the {name} now")
-        assert 8.0 in session.weather.times_of(field)
+        assert 8.0 in session.weather.key_times[field].tolist()
     do(session, "Let a shower pass")
-    assert session.weather.times_of("wind_m_s") == [8.0]  # only the intensity's keys give way
+    assert session.weather.key_times["wind_m_s"].tolist() == [8.0]  # only the intensity's keys give way
     assert session.weather.key_at(38.0).intensity_mm_h == 12.0
     do(session, "Clear the weather's keys")
     assert session.weather.keys == ()

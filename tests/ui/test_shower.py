@@ -75,7 +75,7 @@ def test_keys_are_dragged_added_and_removed_in_the_plot(driver, pixel_of):
         added = session.weather.keys[2]
         assert (added.time_s, added.intensity_mm_h) == (pytest.approx(15.0, abs=0.3), pytest.approx(7.0, abs=0.3))
         at(driver, pixel_of(10.0, 8.0), press=1)
-        assert session.weather.times_of("intensity_mm_h") == [0.0, added.time_s, 20.0]
+        assert session.weather.key_times["intensity_mm_h"].tolist() == [0.0, added.time_s, 20.0]
 
     driver.run(script)
 
@@ -116,7 +116,7 @@ def test_sliders_of_keyed_fields_set_keys_and_one_drag_is_one_step(driver):
         steps = session.history.cursor
         driver.drag("//Rain/##intensity_mm_h", (60, 0))
         assert session.history.cursor == steps + 1
-        assert session.weather.times_of("intensity_mm_h") == [0.0, 6.0]
+        assert session.weather.key_times["intensity_mm_h"].tolist() == [0.0, 6.0]
         assert session.weather.key_at(6.0).intensity_mm_h > 3
         assert session.rain_now.intensity_mm_h == session.weather.key_at(6.0).intensity_mm_h
         driver.click("//Rain/8.5")
@@ -124,7 +124,7 @@ def test_sliders_of_keyed_fields_set_keys_and_one_drag_is_one_step(driver):
         driver.click("//Rain/###key exposure_s")
         assert session.weather.key_at(6.0).exposure_s == 0.004
         driver.click("//Rain/###key intensity_mm_h")
-        assert session.weather.times_of("intensity_mm_h") == [0.0]
+        assert session.weather.key_times["intensity_mm_h"].tolist() == [0.0]
 
     driver.run(script)
 
@@ -140,10 +140,10 @@ def test_a_key_is_typed_in_the_table(driver):
         assert session.weather.key_at(10.0).intensity_mm_h == 5.25
         driver.ctx.item_input_value("//Shower/**/##time 1", 12.5)
         driver.frames(3)
-        assert session.weather.times_of("intensity_mm_h") == [0.0, 12.5, 20.0]
+        assert session.weather.key_times["intensity_mm_h"].tolist() == [0.0, 12.5, 20.0]
         driver.ctx.item_click("//Shower/**/###remove 0")
         driver.frames(3)
-        assert session.weather.times_of("intensity_mm_h") == [12.5, 20.0]
+        assert session.weather.key_times["intensity_mm_h"].tolist() == [12.5, 20.0]
 
     driver.run(script)
 

@@ -29,7 +29,7 @@ def open_model(
     """SD-Turbo with weights in it, in float32 on the processor; nothing is downloaded.
 
     Args:
-        weights: A file that `load_weights` takes; None for SD-Turbo as it is, to be trained.
+        weights: A file that `open_weights` takes; None for SD-Turbo as it is, to be trained.
         base: Folder of SD-Turbo; None looks where `places.base_places` says.
         normals: Whether the encoders take a fourth channel; one that weights lack changes nothing. Weights that were
             made with one always get it, and zeros in it where there are no guides.

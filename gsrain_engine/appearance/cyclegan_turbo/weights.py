@@ -9,7 +9,7 @@ from typing import Any
 from gsrain_engine.untrusted.limits import check_file, open_file
 from gsrain_engine.untrusted.printable import printable
 
-from .delta import TurboDelta, take_in
+from .delta import TurboDelta
 from .diffusers_lora_weights import is_diffusers_lora, read_diffusers_lora
 from .model import CycleGanTurbo
 from .own_weights import check_header, is_own, read_own, write_own
@@ -96,22 +96,6 @@ def open_weights(path: Path) -> WeightsFile:
     if not isinstance(state, Mapping):
         raise ValueError(f"{path}: holds {type(state).__name__}, not weights by name")
     return WeightsFile(path, dict(state.items()), {})
-
-
-def load_weights(model: CycleGanTurbo, path: Path, weather: str = "rainy") -> None:
-    """Put the weights of a file into a model: merged, or into its peft adapters where it has them.
-
-    Takes clear2rainy.pkl and other checkpoints of img2img-turbo, WeatherEdit's, LoRA files of diffusers and kohya, and
-    what `save_weights` wrote. Captions come along only with the last.
-
-    Args:
-        model: SD-Turbo, without other weights in it.
-        path: File.
-        weather: Which part of a WeatherEdit checkpoint.
-
-    Raises FileNotFoundError, and ValueError, which names the first bad key; the model is as it was then.
-    """
-    take_in(model, open_weights(path).delta(model, weather))
 
 
 def save_weights(model: CycleGanTurbo, path: Path) -> None:

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from gsrain_engine.raster.rasterizer import expected
-from gsrain_engine.raster.view_weights import view_weights
+from gsrain_engine.raster.view_weights import expected, view_weights
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.members import Actor, Layer, Part
 from gsrain_engine.scene.scene import Scene

@@ -1,5 +1,7 @@
 """Where a wet ground finds what it mirrors when there is no scene: in the view's own picture and depth."""
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float32, Float64
 
@@ -9,7 +11,6 @@ from .ground import Ground, ground_of
 from .ground_heights import ground_heights
 from .ground_plane import fitted_plane
 from .mirrored import Mirrored, mirror_camera
-from .recent_view import RecentView
 from .seen_again import seen_again
 from .smoothstep import smoothstep
 
@@ -32,11 +33,11 @@ class PictureSurroundings:
     """
 
     def __init__(self) -> None:
-        self._recent = RecentView(_ground)
+        self._recent_ground = lru_cache(maxsize=2)(_ground)
 
     def ground(self, view: ClearView) -> Ground | None:
         """Find the ground in a view by its depth; None where it shows none."""
-        return self._recent.of(view)
+        return self._recent_ground(view)
 
     def mirrored(self, view: ClearView, ground: Ground) -> Mirrored:
         """Follow mirrored rays through the view's depth.

@@ -1,7 +1,7 @@
 """Where a wet ground finds what it mirrors: in the scene itself, seen from below the ground."""
 
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +21,6 @@ from .ground_heights import GroundHeights, ground_heights
 from .ground_plane import GroundPlane, fitted_plane
 from .mirrored import Mirrored, mirror_camera
 from .mirrored_gaps import without_gaps
-from .recent_view import RecentView
 from .seen_again import seen_again
 
 MIRROR_SCALE = 0.5
@@ -45,11 +44,11 @@ class SceneSurroundings:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._recent = RecentView(self._ground)
+        self._recent_ground = lru_cache(maxsize=2)(self._ground)
 
     def ground(self, view: ClearView) -> Ground | None:
         """Find the ground in a view by the scene's height map; None where it shows none."""
-        return self._recent.of(view)
+        return self._recent_ground(view)
 
     def _ground(self, view: ClearView) -> Ground | None:
         if self._start is None or self._heights is None:

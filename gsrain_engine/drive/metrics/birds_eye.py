@@ -26,16 +26,12 @@ _EVERY_S = 1.0
 _MARGIN_M, _LEAST_SIDE_M, _BETWEEN_TIMES_M = 4.0, 5.0, 3.0
 
 
-def birds_eye_figure(rollout: Rollout, route: Route | None = None) -> Figure:
-    """Draw a run in the frame of its start (ahead to the right, left up).
-
-    Boxes and plans are those of every second; boxes grow darker with time. `route` is drawn where it is known.
-    """
-    return birds_eye_sheet([rollout], route)
-
-
 def birds_eye_sheet(rollouts: Sequence[Rollout], route: Route | None = None) -> Figure:
-    """Draw runs below each other, each as `birds_eye_figure` does, on one scale. Raises ValueError without a run."""
+    """Draw runs below each other on one scale, each in the frame of its start (ahead to the right, left up).
+
+    Boxes and plans are those of every second; boxes grow darker with time. `route` is drawn where it is known. Raises
+    ValueError without a run.
+    """
     if not rollouts:
         raise ValueError("no run to be drawn from above")
     views = [_view(each) for each in rollouts]

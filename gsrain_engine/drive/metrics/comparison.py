@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from gsrain_engine.evaluate.mean_interval import MeanInterval, mean_interval
-from gsrain_engine.evaluate.share_interval import share_interval
 
 from ..rollouts.rollout import Rollout
 from .hd_score import DrivableArea
@@ -38,11 +37,6 @@ class WeatherRuns:
     def collisions(self) -> int:
         """Runs that ended in a collision."""
         return sum(run.metrics.collision for run in self.runs)
-
-    @property
-    def collision_interval(self) -> tuple[float, float]:
-        """95 % confidence interval of the share of runs that collide (Wilson 1927)."""
-        return share_interval(self.collisions, len(self.runs))
 
     def mean(self, metric: str, without_collision: bool = False) -> MeanInterval | None:
         """Return a metric's mean over the runs that have it, with its 95 % bootstrap interval; None where none has.

@@ -55,7 +55,7 @@ def kernel_interval(
 ) -> Interval:
     """Return how far KID varies between sets of pictures as large as these; nothing is shifted, for it has no bias.
 
-    Pictures are taken for independent, as in `frechet_interval`; `shared` is that of `kernel_distance`.
+    Pictures are taken for independent, as in `frechet_interval`; `shared` is that of `weighted_distances`.
     """
     return kernel_estimate(real, fake, resamples, seed, shared)[1]
 

@@ -30,28 +30,7 @@ def _inception(choice: ExtractorChoice) -> Extractor:
     return open_inception(choice)
 
 
-def _efficientnet(choice: ExtractorChoice) -> Extractor:
-    from .torch_extractors import open_efficientnet
-
-    return open_efficientnet(choice)
-
-
-def _vgg(choice: ExtractorChoice) -> Extractor:
-    from .torch_extractors import open_lpips_network
-
-    return open_lpips_network(choice, "vgg")
-
-
-def _alexnet(choice: ExtractorChoice) -> Extractor:
-    from .torch_extractors import open_lpips_network
-
-    return open_lpips_network(choice, "alex")
-
-
 EXTRACTORS: dict[str, Callable[[ExtractorChoice], Extractor]] = {
     "inception": _inception,
-    "efficientnet-lite0": _efficientnet,
-    "vgg16": _vgg,
-    "alexnet": _alexnet,
     "pixels16": _pixels,
 }

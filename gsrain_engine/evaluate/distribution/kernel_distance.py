@@ -8,19 +8,6 @@ Features = Float[np.ndarray, "_ d"]
 _BLOCK_ROWS = 512
 
 
-def kernel_distance(real: Features, fake: Features, shared: Bool[np.ndarray, "_ _"] | None = None) -> float:
-    """Unbiased squared maximum mean discrepancy of two sets of features, with the kernel (x.y / d + 1)^3.
-
-    Binkowski et al. 2018 ("Demystifying MMD GANs", sec. 4); without a unit; its expectation is 0 for sets of one
-    distribution at any number of pictures, and above 0 for others; single values may lie below 0. Lower is better.
-
-    `shared` marks pairs (real, fake) that are one and the same picture: they count no more than a picture with itself
-    does within a set, so that a set compared with itself gives 0. Raises ValueError for fewer than two pictures.
-    """
-    ones = [np.ones((len(each), 1)) for each in (real, fake)]
-    return float(weighted_distances(real, fake, ones[0], ones[1], shared)[0])
-
-
 def weighted_distances(
     real: Features,
     fake: Features,
@@ -28,9 +15,14 @@ def weighted_distances(
     fake_weights: Float64[np.ndarray, "_ k"],
     shared: Bool[np.ndarray, "_ _"] | None = None,
 ) -> Float64[np.ndarray, " k"]:
-    """Return `kernel_distance` with pictures counted as often as each column of weights says; kernels are made once.
+    """Unbiased squared maximum mean discrepancies of two sets of features, with the kernel (x.y / d + 1)^3.
 
-    A picture is never paired with itself, however often it counts: copies of one say nothing of a distribution.
+    Pictures count as often as each column of weights says. Binkowski et al. 2018 ("Demystifying MMD GANs", sec. 4);
+    without a unit; the expectation is 0 for sets of one distribution at any number of pictures, and above 0 for others;
+    single values may lie below 0. Lower is better. A picture is never paired with itself, however often it counts.
+
+    `shared` marks pairs (real, fake) that are one and the same picture: they count no more than a picture with itself
+    does within a set. Raises ValueError for fewer than two pictures.
     """
     if min(len(real), len(fake)) < 2:
         raise ValueError(f"{len(real)} real and {len(fake)} fake pictures: KID takes at least two of each")

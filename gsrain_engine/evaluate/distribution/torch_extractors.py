@@ -1,6 +1,5 @@
-"""Extractors that are networks: Inception for FID, and others for distances under names of their own."""
+"""The extractor of FID: Inception, in torch."""
 
-import hashlib
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -9,15 +8,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from ..lpips import Lpips
-from ..lpips_weights import LpipsWeights, Network, find_lpips_weights, read_lpips_weights
 from ..weight_file import hash_of
-from . import efficientnet_lite, inception
+from . import inception
 from .extractor import Extractor, ExtractorChoice
 from .frozen_network import filled
 from .network_weights import (
-    efficientnet_weights,
-    efficientnet_weights_file,
     inception_weights,
     inception_weights_file,
     is_published_inception,
@@ -27,11 +22,8 @@ from .resizing import resized
 
 torch: Any = import_module("torch")
 
-_LPIPS_SIZE_PX = 224
 _SHORT, _KEY = 8, 16
 """Digits of a hash that a person reads, and that tell kept features apart."""
-
-_TITLES: dict[Network, str] = {"vgg": "VGG16", "alex": "AlexNet"}
 
 
 def open_inception(choice: ExtractorChoice) -> Extractor:
@@ -72,58 +64,6 @@ def check_device(device: str) -> None:
     """Raise ValueError where torch can't compute on a device."""
     if device != "cpu" and not torch.cuda.is_available():
         raise ValueError(f"device {device}: torch sees no CUDA device")
-
-
-def open_efficientnet(choice: ExtractorChoice) -> Extractor:
-    """Return "FD-EfficientNet-Lite0": its 1280 features before the classes, of pictures at 224x224 (`resized`).
-
-    Raises as `open_inception` does.
-    """
-    check_device(choice.device)
-    file = choice.weights or efficientnet_weights_file()
-    weights = efficientnet_weights(file)
-    digest, size = hash_of(file), efficientnet_lite.SIZE_PX
-    return Extractor(
-        metric="FD-EfficientNet-Lite0",
-        described=f"EfficientNet-Lite0 (weights {digest[:_SHORT]}), {size}x{size} px",
-        features=efficientnet_lite.FEATURES,
-        key=f"efficientnet-lite0-{digest[:_KEY]}",
-        function=_runner(filled(efficientnet_lite.EfficientNetLite0, weights), size, choice.device),
-    )
-
-
-def open_lpips_network(choice: ExtractorChoice, network: Network) -> Extractor:
-    """Return "FD-VGG16" (512 features) or "FD-AlexNet" (256): means over the last convolution that LPIPS looks at.
-
-    Of pictures at 224x224 (`resized`), with the person's weights of LPIPS. Raises as `open_inception` does.
-    """
-    check_device(choice.device)
-    weights = find_lpips_weights(network) if choice.weights is None else read_lpips_weights(choice.weights)
-    if weights.network != network:
-        raise ValueError(f"{choice.weights}: holds {_TITLES[weights.network]}, not {_TITLES[network]}")
-    model, digest = Lpips(weights).to(choice.device), _digest(weights)
-
-    def features(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " d"]:
-        sized = torch.from_numpy(resized(image, _LPIPS_SIZE_PX, _LPIPS_SIZE_PX) / np.float32(255))
-        with torch.no_grad():
-            return model.features(sized.to(choice.device))[-1].mean(dim=(1, 2)).cpu().numpy()
-
-    title, size = _TITLES[network], f"{_LPIPS_SIZE_PX}x{_LPIPS_SIZE_PX}"
-    return Extractor(
-        metric=f"FD-{title}",
-        described=f"{title} (weights {digest[:_SHORT]}), {size} px",
-        features=len(weights.biases[-1]),
-        key=f"{title.lower()}-{digest[:_KEY]}",
-        function=features,
-    )
-
-
-def _digest(weights: LpipsWeights) -> str:
-    """Hash of the convolutions: files of several layouts hold the same ones."""
-    found = hashlib.sha256()
-    for array in (*weights.kernels, *weights.biases):
-        found.update(array.tobytes())
-    return found.hexdigest()
 
 
 def _runner(

@@ -1,12 +1,12 @@
 """Curves as SVG, in the colours of the page that they stand in."""
 
-import html
 from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float64
+from markupsafe import Markup
 
-from gsrain_engine.untrusted.printable import escaped
+from .templates import rendered
 
 WIDTH, HEIGHT = 520, 260
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 14, 14, 40
@@ -16,24 +16,18 @@ _POINTS = 240
 _STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 
 
-def escape(text: str, quote: bool = True) -> str:
-    """Return text as a page shows it: no tags, no references, and nothing that can't be seen."""
-    return html.escape(escaped(text), quote)
-
-
 def chart(
     x: Float64[np.ndarray, " n"],
     y: Float64[np.ndarray, " n"],
     x_title: str,
     y_title: str,
     is_logarithmic: bool = False,
-) -> str:
+) -> Markup:
     """Draw y over x as an SVG element; points that are not finite are left out, as are those <= 0 on a log axis."""
     shown = np.isfinite(x) & np.isfinite(y) & ((y > 0) | (not is_logarithmic))
     x, y = x[shown], y[shown]
     if len(x) == 0:
-        return '<p class="quiet">no values</p>'
-    x_ticks = list(ticks(x.min(), x.max(), 6))
+        return rendered("chart.svg")
     if is_logarithmic:
         y_ticks = [float(np.log10(value)) for value in _decade_ticks(y.min(), y.max())]
         y = np.log10(y)
@@ -43,18 +37,25 @@ def chart(
     margin = 0.0 if high > low else max(abs(low), 1.0) / 2  # a level line runs through the middle
     across = _Axis(float(x.min()), float(x.max()), _LEFT, WIDTH - _RIGHT)
     upward = _Axis(float(low - margin), float(high + margin), HEIGHT - _BOTTOM, _TOP)
-    parts = [
-        *(
-            _grid_line(_LEFT, WIDTH - _RIGHT, upward(value), number(10**value if is_logarithmic else value))
-            for value in y_ticks
-        ),
-        *(_tick(across(value), number(value)) for value in x_ticks),
-        *_curve(x, y, across, upward),
-        f'<text class="axis" x="{(_LEFT + WIDTH - _RIGHT) / 2:.0f}" y="{HEIGHT - 6}" text-anchor="middle">'
-        f"{escape(x_title)}</text>",
-    ]
-    said = escape(f"{y_title} over {x_title}", quote=True)
-    return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{said}">{"".join(parts)}</svg>'
+    groups = np.array_split(np.arange(len(x)), min(len(x), _POINTS))
+    middle = [(across(float(x[g].mean())), upward(float(y[g].mean()))) for g in groups]
+    highest = [(at, upward(float(y[g].max()))) for (at, _), g in zip(middle, groups, strict=True)]
+    lowest = [(at, upward(float(y[g].min()))) for (at, _), g in zip(middle, groups, strict=True)]
+    return rendered(
+        "chart.svg",
+        width=WIDTH,
+        height=HEIGHT,
+        left=_LEFT,
+        right=WIDTH - _RIGHT,
+        bottom=HEIGHT - _BOTTOM,
+        x_title=x_title,
+        y_title=y_title,
+        ticks_x=[(across(value), number(value)) for value in ticks(x.min(), x.max(), 6)],
+        ticks_y=[(upward(value), number(10**value if is_logarithmic else value)) for value in y_ticks],
+        span=_points(highest + lowest[::-1]) if len(x) > _POINTS else "",
+        line=_points(middle),
+        points=middle if len(x) <= 40 else (),
+    )
 
 
 def ticks(low: float, high: float, wanted: int) -> Iterator[float]:
@@ -91,33 +92,8 @@ class _Axis:
         self._scale = (end - start) / (high - low) if high > low else 0.0
 
     def __call__(self, value: float) -> float:
-        return self._start + (value - self._low) * self._scale
-
-
-def _curve(x: np.ndarray, y: np.ndarray, across: _Axis, upward: _Axis) -> list[str]:
-    groups = np.array_split(np.arange(len(x)), min(len(x), _POINTS))
-    middle = [(across(float(x[g].mean())), upward(float(y[g].mean()))) for g in groups]
-    parts: list[str] = []
-    if len(x) > _POINTS:
-        highest = [(at, upward(float(y[g].max()))) for (at, _), g in zip(middle, groups, strict=True)]
-        lowest = [(at, upward(float(y[g].min()))) for (at, _), g in zip(middle, groups, strict=True)]
-        parts.append(f'<polygon class="span" points="{_points(highest + lowest[::-1])}"/>')
-    parts.append(f'<polyline class="curve" points="{_points(middle)}"/>')
-    if len(x) <= 40:
-        parts += [f'<circle class="point" cx="{a:.1f}" cy="{b:.1f}" r="2.6"/>' for a, b in middle]
-    return parts
+        return round(self._start + (value - self._low) * self._scale, 1)
 
 
 def _points(pairs: list[tuple[float, float]]) -> str:
-    return " ".join(f"{a:.1f},{b:.1f}" for a, b in pairs)
-
-
-def _grid_line(left: float, right: float, y: float, label: str) -> str:
-    line = f'<line class="grid" x1="{left}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}"/>'
-    return f'{line}<text class="tick" x="{left - 7}" y="{y + 4:.1f}" text-anchor="end">{escape(label)}</text>'
-
-
-def _tick(x: float, label: str) -> str:
-    y = HEIGHT - _BOTTOM
-    line = f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{y}" y2="{y + 4}"/>'
-    return f'{line}<text class="tick" x="{x:.1f}" y="{y + 17}" text-anchor="middle">{escape(label)}</text>'
+    return " ".join(f"{a},{b}" for a, b in pairs)

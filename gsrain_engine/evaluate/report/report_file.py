@@ -4,7 +4,6 @@ from pathlib import Path
 
 from gsrain_engine.scene.atomic_files import whole_file
 
-from .page import report_page
 from .run_report import RunReport
 
 
@@ -13,6 +12,8 @@ def write_report(file: Path, report: RunReport) -> None:
 
     Missing parents are made.
     """
+    from .page import report_page  # Jinja loads slowly, and most runs write no page
+
     page = report_page(report)
     file.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(file) as beside:

@@ -49,6 +49,13 @@ class ReportTable:
     definitions: tuple[str, ...] = ()
     """What the columns mean, a sentence each, below the table."""
 
+    @property
+    def kinds(self) -> list[str]:
+        """Of each column: "word" where it holds any, else "number"."""
+        return [
+            "word" if any(isinstance(row[i], str) for row in self.rows) else "number" for i in range(len(self.columns))
+        ]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunReport:

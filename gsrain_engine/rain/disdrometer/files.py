@@ -68,7 +68,7 @@ def _read_text(path: Path, contents: Contents) -> Reading:
         if recognizes(lines):
             return read(path, lines)
     if is_class_mask(lines):
-        raise DisdrometerFileError(path, "a mask of diameters and speeds, no measurement: read it with read_class_mask")
+        raise DisdrometerFileError(path, "a mask of diameters and speeds, no measurement")
     reading = read_by_packages(path, lines)
     if reading is not None:
         return reading

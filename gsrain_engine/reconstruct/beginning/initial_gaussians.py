@@ -13,7 +13,7 @@ from gsrain_engine.datasets.capture import Capture, View
 from gsrain_engine.datasets.pixels.known_depth import KnownDepth, known_depth
 from gsrain_engine.datasets.pixels.moving_masks import moving_boxes, static_mask
 from gsrain_engine.datasets.pixels.view_rays import pixel_rays
-from gsrain_engine.raster.rasterizer import rasterize
+from gsrain_engine.raster.cpu_renderer import CpuRenderer
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.members import Part
 
@@ -115,11 +115,11 @@ def _without_holes(
     surfels: Surfels, views: Sequence[View], depths: Sequence[Float32[np.ndarray, "_ _"]], stride: int, budget: int
 ) -> Gaussians:
     """Draw the discs as each view sees them, and add more where too little is drawn: seams between views, mostly."""
-    gaussians = surfels.gaussians(SURFACE_OPACITY)
+    gaussians, renderer = surfels.gaussians(SURFACE_OPACITY), CpuRenderer()
     for view, depth in zip(views, depths, strict=True):
         mask = view.mask
-        frame = rasterize([Part(gaussians, np.eye(4))], view.camera)
-        empty = (frame.rgba[..., 3] < _HOLE) & (depth > 0)
+        renderer.draw([Part(gaussians, np.eye(4))], view.camera)
+        empty = (renderer.read().rgba[..., 3] < _HOLE) & (depth > 0)
         empty = empty if mask is None else empty & mask
         more = surfels_of_view(view, depth, stride, cell_means(empty[..., None], stride)[..., 0] > 0.5)
         room = budget - len(gaussians)

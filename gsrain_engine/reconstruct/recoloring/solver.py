@@ -62,11 +62,6 @@ class Step(NamedTuple):
     """Of the harmonics so far; the solver goes on writing into it."""
 
 
-def plain_pull(k: int, tikhonov: float = TIKHONOV) -> Float32[np.ndarray, "1 k 1"]:
-    """Pull on k harmonics that is the same for all Gaussians."""
-    return (tikhonov * np.where(np.arange(k) == 0, 1, DIRECTIONAL_TIKHONOV)).astype(np.float32)[None, :, None]
-
-
 def solve_colors(
     targets: Sequence[ColorTarget],
     count: int,

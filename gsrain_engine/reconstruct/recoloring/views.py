@@ -10,9 +10,8 @@ from gsrain_engine.appearance.normals.from_depth import normals_from_depth
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.prepared import prepared
 from gsrain_engine.raster.projection import view_directions
-from gsrain_engine.raster.rasterizer import expected
 from gsrain_engine.raster.spherical_harmonics import harmonics
-from gsrain_engine.raster.view_weights import view_weights
+from gsrain_engine.raster.view_weights import expected, view_weights
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Scene
 

@@ -5,8 +5,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from gsrain_engine.scene.rotations import quaternions_from_matrices
-
 _FILM_HEIGHT_MM = 24.0
 """Of the 35 mm film that focal lengths are compared on."""
 _STRAIGHT_UP = 1 - 1e-12
@@ -43,11 +41,6 @@ def look_rotation(angles: LookAngles) -> Float64[np.ndarray, "3 3"]:
     below = np.cross(forward, level)
     right = np.cos(roll) * level + np.sin(roll) * below
     return np.stack([right, np.cross(forward, right), forward], axis=1)
-
-
-def look_quaternion(angles: LookAngles) -> Float64[np.ndarray, "4"]:
-    """Quaternion (w, x, y, z), camera to world, that has these angles."""
-    return quaternions_from_matrices(look_rotation(angles))
 
 
 def focal_length_mm(vertical_fov_deg: float) -> float:

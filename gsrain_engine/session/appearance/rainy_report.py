@@ -9,7 +9,7 @@ from gsrain_engine.appearance.clear_view import ClearView
 from gsrain_engine.appearance.transfer import RainyView, Transfer
 from gsrain_engine.evaluate.report.comparison import Comparison
 from gsrain_engine.evaluate.report.run_report import RunReport
-from gsrain_engine.raster.rasterizer import rasterize
+from gsrain_engine.raster.cpu_renderer import CpuRenderer
 from gsrain_engine.scene.scene import Scene
 
 _COMPARED = 6
@@ -57,7 +57,9 @@ class KeptComparisons:
 def _compared(scene: Scene, rainy: RainyView) -> Comparison:
     """Measure one view where the scene has something to show."""
     parts = [part._replace(colors=None) for part in scene.parts(rainy.clear.time_s, wetness=1.0)]
-    frame = rasterize(parts, rainy.clear.camera)
-    alpha = frame.rgba[..., 3]
-    drawn = np.clip(frame.rgba[..., :3] + (1 - alpha[..., None]) * rainy.image, 0, 1)
+    renderer = CpuRenderer()
+    renderer.draw(parts, rainy.clear.camera)
+    rgba = renderer.read().rgba
+    alpha = rgba[..., 3]
+    drawn = np.clip(rgba[..., :3] + (1 - alpha[..., None]) * rainy.image, 0, 1)
     return Comparison.measured(rainy.clear.name, drawn, rainy.image, alpha > _SOLID)

@@ -14,7 +14,6 @@ from gsrain_engine.scene.paths.edits import (
     moved_key,
     placed_key,
     reversed_path,
-    shifted,
     stretched,
     with_key,
     without_key,
@@ -199,13 +198,6 @@ def stretch_path(session: ViewedDocument, duration_s: float) -> None:
         set_path(session, "Stretch camera path", stretched(path, duration_s / path.duration_s))
     except ValueError as error:
         session.problem = str(error)
-
-
-def shift_path(session: ViewedDocument, start_s: float) -> None:
-    """Let the flight begin at another moment."""
-    path = session.scene.path
-    if path is not None:
-        set_path(session, "Shift camera path", shifted(path, max(0.0, start_s) - path.start_s))
 
 
 def _seen(session: ViewedDocument) -> Camera:

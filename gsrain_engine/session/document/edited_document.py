@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 
 import msgspec
 
@@ -75,12 +76,12 @@ class EditedDocument:
     def _go_to_rain(self, label: str, rain: Rain, weather: Weather, gesture: str | None) -> None:
         present = self.history.present
         if rain != present.rain or weather != present.weather:
-            self.history.record(label, present.with_rain(rain).with_weather(weather), gesture)
+            self.history.record(label, replace(present, rain=rain, weather=weather), gesture)
             self._follow_document()
 
     def set_scene(self, label: str, scene: Scene, gesture: str | None = None) -> None:
         """Go to a changed version of the scene."""
-        self.history.record(label, self.history.present.with_scene(scene), gesture)
+        self.history.record(label, replace(self.history.present, scene=scene), gesture)
         self._follow_document()
 
     def edit(self, label: str, change: Callable[..., Scene], *arguments: object, gesture: str | None = None) -> None:

@@ -8,10 +8,10 @@ from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
 from gsrain_engine.appearance.views.kept_views import KEPT, KeptViews
 from gsrain_engine.appearance.views.placed_camera import PlacedCamera
 from gsrain_engine.appearance.views.scene_views import scene_view, scene_views
-from gsrain_engine.raster.rasterizer import rasterize
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.grading import Grading
 from gsrain_engine.scene.scene import Scene
+from rasterized import rasterize
 from tests.reconstruct.small_street import small_street
 
 UP = np.array([0.0, 0, 1])

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.colors import to_rgba
 from msgspec.structs import replace
 
-from gsrain_engine.drive.metrics.birds_eye import birds_eye_figure, birds_eye_sheet
+from gsrain_engine.drive.metrics.birds_eye import birds_eye_sheet
 from gsrain_engine.drive.metrics.comparison import Run, compare
 from gsrain_engine.drive.metrics.curves_over_time import band, curve
 from gsrain_engine.drive.metrics.figures import kinematics_figure, rain_colors, write_figure
@@ -75,7 +75,7 @@ def test_heavier_rain_is_darker():
 def test_the_same_runs_give_the_same_bytes(tmp_path):
     runs, comparison = _compared()
     for name in ("a", "b"):
-        write_figure(tmp_path / f"{name}.png", birds_eye_figure(runs[-1].rollout))
+        write_figure(tmp_path / f"{name}.png", birds_eye_sheet([runs[-1].rollout]))
         write_figure(tmp_path / f"{name}.svg", kinematics_figure(comparison))
     for kind in ("png", "svg"):
         assert (tmp_path / f"a.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()

@@ -7,13 +7,11 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.evaluate.distribution.efficientnet_lite import EfficientNetLite0  # noqa: E402
 from gsrain_engine.evaluate.distribution.extractor import ExtractorChoice  # noqa: E402
 from gsrain_engine.evaluate.distribution.extractors import EXTRACTORS, open_extractor  # noqa: E402
 from gsrain_engine.evaluate.distribution.frozen_network import filled  # noqa: E402
 from gsrain_engine.evaluate.distribution.inception import Inception  # noqa: E402
 from gsrain_engine.evaluate.distribution.network_weights import (  # noqa: E402
-    EFFICIENTNET_PLACE,
     INCEPTION_PLACE,
     inception_weights,
     is_published_inception,
@@ -21,11 +19,9 @@ from gsrain_engine.evaluate.distribution.network_weights import (  # noqa: E402
     matched_inception,
 )
 from gsrain_engine.evaluate.distribution.resizing import resized  # noqa: E402
-from gsrain_engine.evaluate.lpips import Lpips  # noqa: E402
 from gsrain_engine.evaluate.weight_file import read_arrays  # noqa: E402
 
-from ..random_lpips import random_weights  # noqa: E402
-from .random_networks import random_arrays, write_inception  # noqa: E402
+from .random_networks import write_inception  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -134,48 +130,11 @@ def test_torchscript_runs_only_where_it_may(tmp_path, picture):
         open_extractor(ExtractorChoice(weights=file, allows_torchscript=True))
 
 
-def test_efficientnet_reads_the_published_names_and_pads_as_tensorflow_does(tmp_path, picture, monkeypatch):
-    arrays = random_arrays(EfficientNetLite0)
-    named = {_published(name): torch.from_numpy(array) for name, array in arrays.items()}
-    assert "_blocks.3._depthwise_conv.weight" in named
-    torch.save({**named, "_fc.weight": torch.zeros(1000, 1280)}, tmp_path / "efficientnet-lite0.pth")
-    monkeypatch.setenv(EFFICIENTNET_PLACE, str(tmp_path))
-    extractor = open_extractor(ExtractorChoice(name="efficientnet-lite0"))
-    assert extractor.metric == "FD-EfficientNet-Lite0"
-    assert extractor(picture).shape == (1280,)
-    stem = filled(EfficientNetLite0, arrays).conv_stem
-    stem.weight.data = torch.ones_like(stem.weight)
-    # The odd pixel is missing right and below, not left and above.
-    assert stem(torch.ones(1, 3, 4, 4))[0, 0].tolist() == [[27, 18], [18, 12]]
-
-
-def _published(name):
-    """Such as _blocks.3._bn1.weight of blocks.3.bn1.weight."""
-    parts = name.split(".")
-    return ".".join(part if part.isdigit() or k == len(parts) - 1 else f"_{part}" for k, part in enumerate(parts))
-
-
-@pytest.mark.parametrize(
-    ("name", "network", "metric"), [("vgg16", "vgg", "FD-VGG16"), ("alexnet", "alex", "FD-AlexNet")]
-)
-def test_networks_of_lpips_have_their_own_names(name, network, metric, tmp_path, picture):
-    weights = random_weights(network)
-    weights.write(tmp_path / "lpips.npz")
-    extractor = open_extractor(ExtractorChoice(name=name, weights=tmp_path / "lpips.npz"))
-    assert extractor.metric == metric
-    sized = torch.from_numpy(resized(picture, 224, 224) / np.float32(255))
-    expected = Lpips(weights).features(sized)[-1].mean(dim=(1, 2)).numpy()
-    np.testing.assert_allclose(extractor(picture), expected, rtol=1e-4, atol=1e-5)
-    other = "alexnet" if name == "vgg16" else "vgg16"
-    with pytest.raises(ValueError, match=r"lpips\.npz: holds"):
-        open_extractor(ExtractorChoice(name=other, weights=tmp_path / "lpips.npz"))
-
-
 def test_what_is_missing_is_said_with_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setenv(INCEPTION_PLACE, str(tmp_path))
     with pytest.raises(FileNotFoundError, match="no weights of Inception.*pt_inception-2015-12-05.*pixels16"):
         open_extractor(ExtractorChoice())
-    with pytest.raises(ValueError, match="extractor 'fid': expected one of inception, efficientnet-lite0"):
+    with pytest.raises(ValueError, match="extractor 'fid': expected one of inception, pixels16"):
         open_extractor(ExtractorChoice(name="fid"))
     with pytest.raises(ValueError, match="pixels16 takes no weights"):
         open_extractor(ExtractorChoice(name="pixels16", weights=tmp_path))

@@ -10,7 +10,7 @@ from scipy import linalg
 
 from gsrain_engine.evaluate.distribution import frechet as module
 from gsrain_engine.evaluate.distribution.frechet import frechet_distance, nuclear_norm, rotated
-from gsrain_engine.evaluate.distribution.kernel_distance import kernel_distance
+from oracles.kernel_distance import kernel_distance
 from repository import REPOSITORY
 
 

@@ -6,8 +6,8 @@ import pytest
 from gsrain_engine.evaluate.distribution.bootstrap import frechet_interval, kernel_estimate, kernel_interval
 from gsrain_engine.evaluate.distribution.extractor import Extractor
 from gsrain_engine.evaluate.distribution.frechet import frechet_distance
-from gsrain_engine.evaluate.distribution.kernel_distance import kernel_distance
 from gsrain_engine.evaluate.distribution.small_samples import SameDistribution, same_distribution, warning
+from oracles.kernel_distance import kernel_distance
 
 FEATURES = 24
 FID = Extractor(metric="FID", described="", features=FEATURES, key=None, function=lambda image: image.mean(axis=(0, 1)))

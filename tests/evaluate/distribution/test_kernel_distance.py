@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from gsrain_engine.evaluate.distribution import kernel_distance as module
-from gsrain_engine.evaluate.distribution.kernel_distance import kernel_distance, weighted_distances
+from gsrain_engine.evaluate.distribution.kernel_distance import weighted_distances
+from oracles.kernel_distance import kernel_distance
 
 
 def _set(count, features, seed, shift=0.0, scale=1.0):

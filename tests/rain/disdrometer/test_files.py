@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gsrain_engine.rain.disdrometer import contents, records
-from gsrain_engine.rain.disdrometer.class_mask import read_class_mask
 from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, read_disdrometer
 from gsrain_engine.rain.fitting.measured_file import open_measured
 from parsivel_text import DRY, RAIN_MM_H, locarno_line, rain, station_line, velocity_major
@@ -296,12 +295,8 @@ def test_number_of_spectra_is_bounded(tmp_path: Path, monkeypatch: pytest.Monkey
     assert refusal(path) == "line 3: more than 2 spectra: split the file by days"
 
 
-def test_class_mask_is_no_measurement_but_can_be_read(tmp_path: Path):
+def test_class_mask_is_no_measurement(tmp_path: Path):
     table = np.zeros((32, 32), int)
     table[20, 8] = 1
     path = written(tmp_path, *(",".join(map(str, row)) + "," for row in table))
     assert "a mask of diameters and speeds" in refusal(path)
-    mask = read_class_mask(path)
-    assert mask[8, 20] and mask.sum() == 1
-    with pytest.raises(DisdrometerFileError, match="32 rows of 32 zeros and ones"):
-        read_class_mask(written(tmp_path, "1,2,3"))

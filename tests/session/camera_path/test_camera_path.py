@@ -146,7 +146,6 @@ def test_lines_are_cut_off_at_the_eye(session):
 
 def test_what_the_window_rides_is_what_a_recording_shows(session):
     four_keys(session)
-    edits.shift_path(session, 1.5)
     edits.change_path(session, "Loop", loop=True, easing="in and out")
     session.view.follow_path = True
     sequence = FrameSequence(session.scene, session.rainfall, session.path, 96, 64, 30.0, in_scene_time=True)
@@ -183,14 +182,12 @@ def test_a_path_changes_no_picture(session):
     assert session.sky_is_stale
 
 
-def test_whole_paths_are_stretched_shifted_and_reversed(session):
+def test_whole_paths_are_stretched_and_reversed(session):
     path = four_keys(session)
     edits.stretch_path(session, 8.0)
     assert session.scene.path.times_s.tolist() == [0, 2, 4, 8]
-    edits.shift_path(session, 1.0)
-    assert session.scene.path.start_s == 1
     edits.reverse_path(session)
-    assert session.scene.path.times_s.tolist() == [1, 5, 7, 9]
+    assert session.scene.path.times_s.tolist() == [0, 4, 6, 8]
     assert session.scene.path.positions[0] == pytest.approx(path.positions[3])
     steps = len(session.history.labels)
     edits.stretch_path(session, 0.0)

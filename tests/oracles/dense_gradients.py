@@ -3,10 +3,9 @@
 from importlib import import_module
 from typing import Any
 
+from gsrain_engine.raster.cuda_arrays import sh_basis
+from gsrain_engine.raster.gradients.rendered import Tensor
 from gsrain_engine.scene.camera import Camera
-
-from ..cuda_arrays import sh_basis
-from .rendered import Tensor
 
 torch: Any = import_module("torch")
 

@@ -1,0 +1,21 @@
+"""Parts drawn by the engine's own kernels, also with a part of their Gaussians flagged as rain."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gsrain_engine.raster.compositing import composite
+from gsrain_engine.raster.projection import project
+from gsrain_engine.raster.tiles import bin_into_tiles
+from gsrain_engine.raster.view_weights import expected
+from gsrain_engine.render.frame import Frame
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.members import Part
+
+
+def rasterize(parts: Sequence[Part], camera: Camera, rain: Sequence[np.ndarray | None] | None = None) -> Frame:
+    """Premultiplied display colour over nothing, and the expected depth (m), where alpha is over 1e-3."""
+    splats = project(parts, camera, rain)
+    tiles = bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height)
+    rgba, weighted_depth = composite(splats.shapes, splats.colors, tiles)
+    return Frame(rgba, expected(weighted_depth, rgba[..., 3]))
