@@ -20,7 +20,7 @@ _FIELDS = {"intensity": "intensity_mm_h", "wind": "wind_m_s", "exposure": "expos
 """Short names, which the units in the docstring go with, and the fields that they set."""
 
 
-class Rain(ABC):
+class Rain(ABC):  # noqa: B024  it is one so that settings count as its instances
     """Makes rain settings: `gr.Rain(intensity=8.5, wind=(2, 0), seed=1)`.
 
     What it returns is a `RainSettings` value, which counts as an instance of `Rain`. It has units in the names of its

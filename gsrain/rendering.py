@@ -35,7 +35,7 @@ class Renderer:
     """
 
     def __init__(self, backend: Backend = "auto") -> None:
-        """Open a back end: "opengl", "cpu", "cuda" (gsplat), or "auto", which takes OpenGL on a GPU, else the processor.
+        """Open a back end: "opengl", "cpu", "cuda" (gsplat), or "auto": OpenGL on a GPU, else the processor.
 
         Raises `OSError` or `ValueError`, which say what is missing, where one was asked for that can't be opened.
         """

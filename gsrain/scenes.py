@@ -27,6 +27,7 @@ from gsrain_engine.untrusted.explained_errors import converted
 
 QUICK_VIEWS = 8
 """Views that the built-in wet look is computed from: enough for a first look, and made in seconds."""
+_PATHS = ("weights", "base", "images", "normals_weights", "normals_checkout")
 
 
 def load(
@@ -80,7 +81,7 @@ def wet(
     progress: Callable[[Progress], object] | None = None,
     **settings: Any,
 ) -> Scene:
-    """Give a scene wet colors: views of it are made to look rainy, and its colors solved for so that it looks like them.
+    """Give a scene wet colors: views of it are made to look rainy, and its colors are solved for those.
 
     The geometry and the clear colors stay; `Rain.wetness`, by default what follows from the intensity, blends between
     the two. The built-in look takes seconds and needs no weights.
@@ -100,11 +101,10 @@ def wet(
     from gsrain_engine.session.appearance.transfer_work import TransferOrder, rainy_by  # kernels take a second to load
 
     row = method_of(method)
-    given = {name: str(value) if isinstance(value, Path) else value for name, value in settings.items()}
-    chosen: TransferSettings = converted(
-        given | ({} if weights is None else {"weights": str(weights)}), TransferSettings
-    )
-    for name in ("weights", "base", "images", "normals_weights", "normals_checkout"):
+    given = settings if weights is None else settings | {"weights": weights}
+    given = {name: Path(value) if name in _PATHS and isinstance(value, str) else value for name, value in given.items()}
+    chosen: TransferSettings = converted(given, TransferSettings)
+    for name in _PATHS:
         path: Path | None = getattr(chosen, name)
         if path is not None and not path.exists():
             raise ValueError(f"{name} {path}: no such file or folder")

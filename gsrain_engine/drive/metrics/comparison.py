@@ -28,7 +28,7 @@ class Run(NamedTuple):
         return cls(measured(rollout, occupied, drivable), rollout)
 
     def save(self, path: Path | str) -> None:
-        """Write the roll-out as JSON lines, which the window plays; raises `ValueError` where only metrics are known."""
+        """Write the roll-out as JSON lines, which the window plays; raises `ValueError` where there is none."""
         if self.rollout is None:
             raise ValueError(f"{path}: this run has metrics but no roll-out to be written")
         write_rollout(Path(path), self.rollout)
