@@ -27,8 +27,8 @@ from .viewer_messages import Close, GetState, Reply, Request, Screenshot, SetCam
 
 logger = logging.getLogger("gsrain")
 
-REPLY_S = 120.0
-"""Default time for a reply in seconds: the first picture can take a minute, while kernels are compiled."""
+REPLY_S = 300.0
+"""Default time for a reply in seconds: the first picture can take minutes, where kernels have to be compiled."""
 _END_S = 10.0
 """Time for the window to end by itself; then its process is ended."""
 

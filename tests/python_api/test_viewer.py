@@ -98,7 +98,6 @@ def test_the_whole_example_runs_as_it_is_written(tmp_path, monkeypatch):
     write_scene(small_scene(), tmp_path / "street")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("gsrain.scenes.QUICK_VIEWS", 2)
-    monkeypatch.setattr("gsrain.viewer.REPLY_S", WINDOW_S)
     # Where a person would close the window, the test does.
     monkeypatch.setattr(gr.Viewer, "wait", lambda viewer: viewer.screenshot("last.png") and viewer.close())
     names = {}

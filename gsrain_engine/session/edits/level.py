@@ -41,7 +41,7 @@ class Ground(NamedTuple):
     """Of the samples of the scene that lie on it."""
 
 
-def oriented(scene: Scene, up: Axis | None = None, metres_per_unit: float | None = None) -> Scene:
+def oriented(scene: Scene, up: str | None = None, metres_per_unit: float | None = None) -> Scene:
     """Return the scene with another axis up and another length of its unit; None leaves either as it is.
 
     Files of Gaussians hold neither. A scene that is turned has no known height of its ground any more. Raises
