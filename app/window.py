@@ -44,10 +44,17 @@ _DRIVER_RESTARTS_S = 5.0
 """The longest that a window which has lost its context waits for its driver before it begins again."""
 
 
-def run_window(begin: "Callable[[], Session]", backend: "WindowBackend" = "auto") -> None:
+def run_window(
+    begin: "Callable[[], Session]",
+    backend: "WindowBackend" = "auto",
+    on_frame: "Callable[[Workspace], None] | None" = None,
+    *,
+    restarts: bool = True,
+) -> None:
     """Open the window and return when it is closed; `begin` makes the session, in a thread of its own.
 
-    A window whose graphics context is lost keeps the work and begins again, in a process of its own.
+    A window whose graphics context is lost keeps the work and, with `restarts`, begins again, in a process of its own.
+    `on_frame` is called once a frame, as soon as the session is there.
 
     Raises `OSError` where the display can't be opened, where its driver fails, and where it can't begin again.
     """
@@ -58,7 +65,7 @@ def run_window(begin: "Callable[[], Session]", backend: "WindowBackend" = "auto"
             raise OSError("the display can't be opened (DISPLAY or WAYLAND_DISPLAY names one that is not there)")
         # hello_imgui asks for its window after this. Drivers that don't know the wish pass it over.
         glfw.window_hint(glfw.CONTEXT_ROBUSTNESS, glfw.LOSE_CONTEXT_ON_RESET)
-    window = Window(begin, backend)
+    window = Window(begin, backend, on_frame)
     for ending in _ENDINGS:
         signal.signal(ending, lambda number, _: window.end(number))
     parameters = window.parameters()
@@ -76,7 +83,7 @@ def run_window(begin: "Callable[[], Session]", backend: "WindowBackend" = "auto"
         return
     if window.left.kept is not None:
         logger.error("What was changed is kept for the next window.")
-    if isinstance(window.failure, LostContextError):
+    if restarts and isinstance(window.failure, LostContextError):
         start_again(window.left, time.monotonic() - began)
     raise window.failure
 
@@ -84,9 +91,15 @@ def run_window(begin: "Callable[[], Session]", backend: "WindowBackend" = "auto"
 class Window:
     """An empty window that becomes a workspace."""
 
-    def __init__(self, begin: "Callable[[], Session]", backend: "WindowBackend" = "auto") -> None:
+    def __init__(
+        self,
+        begin: "Callable[[], Session]",
+        backend: "WindowBackend" = "auto",
+        on_frame: "Callable[[Workspace], None] | None" = None,
+    ) -> None:
         use_one_arena()
         self._begin = begin
+        self._on_frame = on_frame
         self._backend: WindowBackend = backend
         self._context: moderngl.Context | None = None
         self._session: Session | None = None
@@ -208,6 +221,8 @@ class Window:
     def _go_on(self, context: moderngl.Context) -> None:
         if self.workspace is not None:
             self.workspace.update()
+            if self._on_frame is not None:
+                self._on_frame(self.workspace)
             self._show_title(self.workspace.title)
         elif self._session is not None and not self._loader.is_alive():
             from .workspace import Workspace

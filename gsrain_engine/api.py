@@ -1,4 +1,4 @@
-"""The names for programs that use the engine, and for extensions of it: they stay here, wherever their modules move.
+"""Names for programs and extensions, kept for one release: programs import `gsrain` instead.
 
 Importing this imports nothing else: a name is loaded when it is first asked for.
 """

@@ -1,8 +1,7 @@
-"""YAML files by name: those that the program ships in a folder of sample_configs, or a person's own by path."""
+"""Files that the program ships: shaders, and YAML files by name; or a person's own YAML file by path."""
 
 import os
 from collections.abc import Collection
-from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,9 +11,19 @@ from .untrusted.plain_values import read_whole, yaml_values
 _Config = TypeVar("_Config")
 
 
+def shipped_folder(name: str) -> Path:
+    """Return the folder `shaders` or `sample_configs`.
+
+    An installed program has them inside of this package; in a source tree they are beside it.
+    """
+    package = Path(__file__).parent
+    inside = package / name
+    return inside if inside.is_dir() else package.parent / name
+
+
 def shipped_names(folder: str) -> list[str]:
     """Names of the shipped files of a folder, in the order of the alphabet."""
-    files = resources.files("sample_configs").joinpath(folder).iterdir()
+    files = (shipped_folder("sample_configs") / folder).iterdir()
     return sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml"))
 
 
@@ -85,7 +94,7 @@ def _named(value: Any, folder: Path, files: Collection[str], known: Collection[s
 
 def _data(folder: str, name: str, what: str) -> bytes:
     if name in shipped_names(folder):
-        return resources.files("sample_configs").joinpath(folder, f"{name}.yaml").read_bytes()
+        return (shipped_folder("sample_configs") / folder / f"{name}.yaml").read_bytes()
     path = Path(name)
     if not path.exists():
         known = ", ".join(shipped_names(folder))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("app", "ui", "gsrain_engine")
+PACKAGES = ("app", "ui", "gsrain", "gsrain_engine")
 MAX_LINES = 900
 LONG = {
     "THIRD_PARTY_LICENCES.md": "a list, written by packaging/licences.py",

@@ -1,4 +1,4 @@
-"""A clip of a scene in the rain, for those who have a scene, a rain and a camera."""
+"""A clip of a scene in the rain, from a scene, a rain and a camera: as files, or frame by frame."""
 
 from collections.abc import Iterator
 
@@ -9,6 +9,7 @@ from gsrain_engine.scene.paths.camera_path import CameraPath
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
+from .frame import Frame
 from .record import record
 from .recorded_views import frame_numbers, sequences_of
 from .recording import Recording
@@ -30,3 +31,22 @@ def film(
     rainfall = Rainfall.start(rain)
     sequences = sequences_of(recording, scene, rainfall, camera, in_scene_time=True)
     yield from record(renderer, recording, sequences, frame_numbers(recording, sequences))
+
+
+def film_frames(
+    renderer: Renderer,
+    recording: Recording,
+    scene: Scene,
+    rain: Rain,
+    camera: Camera | CameraPath,
+    *,
+    with_depth: bool = False,
+) -> Iterator[Frame]:
+    """Render the frames that `film` would record, one by one, and write nothing; of `recording` its output is unused.
+
+    Depth is that of the scene in metres, without rain. Raises `ValueError` as `film` does, before the first frame.
+    """
+    rainfall = Rainfall.start(rain)
+    (sequence,) = sequences_of(recording, scene, rainfall, camera, in_scene_time=True).values()
+    numbers = frame_numbers(recording, {"": sequence})
+    return (each.frame for each in sequence.render(renderer, numbers, sequence.sky(renderer), with_depth=with_depth))

@@ -2,6 +2,7 @@
 
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager, nullcontext
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from jaxtyping import UInt16
 from .exr import write_exr
 from .frame import Frame
 from .pictures import write_alpha, write_array, write_depth, write_jpeg, write_labels, write_legend, write_picture
-from .recorded_files import RecordedFiles
+from .recorded_files import RecordedFiles, recorded_files
 from .recording import DEFAULT_JPEG_QUALITY, Recording
 from .video import VideoWriter
 
@@ -29,6 +30,21 @@ def open_sink(
         video = VideoWriter(files.path, *size_px, recording.fps, codec=codec, quality=quality)
     with video as opened:
         yield FrameSink(files, legend, opened, recording.quality)
+
+
+def write_still(path: Path | str, frame: Frame) -> None:
+    """Write a frame as PNG, JPEG, EXR or NPY, by the ending; the same bytes as a recorded still.
+
+    An EXR file holds the depth, too, where the frame has it; NPY holds premultiplied display colors and alpha. Missing
+    folders are made. Raises `ValueError` for another ending, `OSError` where it can't be written.
+    """
+    has_depth = frame.depth is not None and Path(path).suffix.lower() == ".exr"
+    recording = Recording(output=str(path), passes=("color", "depth") if has_depth else ("color",))
+    if not recording.is_still:
+        raise ValueError(f"{path}: expected the name of an image, which ends in .png, .jpg, .exr or .npy")
+    files = recorded_files(recording, None, is_clear=False)
+    with open_sink(recording, files, (frame.rgba.shape[1], frame.rgba.shape[0]), {}) as sink:
+        sink.write(0, frame)
 
 
 class FrameSink:

@@ -2,9 +2,10 @@
 
 import re
 from collections.abc import Mapping
-from importlib import resources
 
 import moderngl
+
+from gsrain_engine.shipped_configs import shipped_folder
 
 _INCLUDE = re.compile(r'^\s*#include "(\w+\.glsl)"\s*$')
 # Mesa "0:7(3): error", NVIDIA "0(7) : error", others "ERROR: 0:7: ...".
@@ -77,4 +78,4 @@ class _Source:
 
 
 def _read(name: str) -> list[str]:
-    return resources.files("shaders").joinpath(name).read_text(encoding="utf-8").splitlines()
+    return (shipped_folder("shaders") / name).read_text(encoding="utf-8").splitlines()

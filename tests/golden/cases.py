@@ -1,6 +1,6 @@
 """Commands whose results are hashed, each with the files that it makes; they use nothing of the program but its command line."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 CROSSING = "saved/crossing"
 """The saved scene: 700 Gaussians, wet colors, a vehicle, a rig, marks, a camera path, rain with keys."""
@@ -136,7 +136,9 @@ def _drives(scenario: str) -> Chain:
     agents = [each for name in ("constant-velocity", "oracle-idm", "neuroncap-baseline") for each in ("--agent", name)]
     options = ("--rain", "0,8.5", "--duration", "8", "--width", "96", "--no-video", "--backend", "cpu")
     arguments = ("drive", scenario, *agents, *options, "-o", scenario, "--json", f"{scenario}.json")
-    return (Case(f"drive/{scenario}", arguments, (("rollout", f"{scenario}/*.jsonl"), ("numbers", f"{scenario}.json"))),)
+    return (
+        Case(f"drive/{scenario}", arguments, (("rollout", f"{scenario}/*.jsonl"), ("numbers", f"{scenario}.json"))),
+    )
 
 
 def _own_drives() -> Chain:
@@ -161,7 +163,17 @@ def _rain_measured() -> Chain:
                                      "-o", f"{rain}.nc", "--json", f"{rain}.json"), (("numbers", f"{rain}.json"),))
         for rain in ("1.2", "8.5")
     ]  # fmt: skip
-    preset = ("disdrometer", "--preset", "saved/settings/preset.yaml", "--area", "0.1", "--seconds", "30", "--record", "30")
+    preset = (
+        "disdrometer",
+        "--preset",
+        "saved/settings/preset.yaml",
+        "--area",
+        "0.1",
+        "--seconds",
+        "30",
+        "--record",
+        "30",
+    )
     return (
         *cases,
         Case("disdrometer/preset", (*preset, "--json", "preset.json"), (("numbers", "preset.json"),)),

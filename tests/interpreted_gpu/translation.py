@@ -4,9 +4,9 @@ import itertools
 import re
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import resources
 
 from gsrain_engine.render import shaders
+from gsrain_engine.shipped_configs import shipped_folder
 
 from .values import (
     ALL,
@@ -112,7 +112,7 @@ def _places(text):
     lines = text.split("\n")
     defined = itertools.takewhile(lambda line: line.startswith("#define"), lines[1:])
     switches = {line.split()[1]: int(line.split()[2]) for line in defined if line.split()[-1].isdigit()}
-    for file in resources.files("shaders").iterdir():
+    for file in shipped_folder("shaders").iterdir():
         if file.name.endswith(".comp"):
             source = shaders._Source(file.name, switches)
             if source.text == text:

@@ -6,8 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from gsrain_engine.shipped_configs import shipped_folder, shipped_names
+
 REPOSITORY = Path(__file__).resolve().parents[2]
-PACKAGES = ("app", "ui", "gsrain_engine", "shaders", "sample_configs")
+PACKAGES = ("app", "ui", "gsrain", "gsrain_engine")
+SHIPPED = ("shaders", "sample_configs")
+"""Data, which a wheel has inside of the engine."""
 
 
 @pytest.fixture(scope="module")
@@ -18,9 +22,17 @@ def in_wheel():
 
 
 def test_the_wheel_holds_every_file_of_every_package(in_wheel):
-    files = (file for package in PACKAGES for file in (REPOSITORY / package).rglob("*") if file.is_file())
-    wanted = {str(file.relative_to(REPOSITORY)) for file in files if "__pycache__" not in file.parts}
-    assert {"shaders/splat.frag", "sample_configs/rain/8.5.yaml", "app/icons/16.png"} <= wanted
+    places = {package: package for package in PACKAGES} | {name: f"gsrain_engine/{name}" for name in SHIPPED}
+    wanted = {
+        f"{place}/{file.relative_to(REPOSITORY / folder)}"
+        for folder, place in places.items()
+        for file in (REPOSITORY / folder).rglob("*")
+        if file.is_file() and "__pycache__" not in file.parts
+    }
+    assert {
+        "gsrain_engine/shaders/splat.frag", "gsrain_engine/sample_configs/rain/8.5.yaml", "app/icons/16.png",
+        "gsrain/__init__.pyi", "gsrain/py.typed",
+    } <= wanted  # fmt: skip
     assert wanted - in_wheel == set(), "left out of the wheel (by .gitignore?)"
 
 
@@ -28,9 +40,15 @@ def test_the_wheel_holds_nothing_else(in_wheel):
     assert {path.split("/")[0] for path in in_wheel} == set(PACKAGES)
 
 
-def test_every_package_that_is_read_as_data_is_a_package():
-    """importlib.resources finds folders without __init__.py too, but not in every way of installing."""
-    assert [package for package in PACKAGES if not (REPOSITORY / package / "__init__.py").is_file()] == []
+def test_data_is_found_in_a_checkout_and_where_it_is_installed(tmp_path, monkeypatch):
+    assert shipped_folder("shaders") == REPOSITORY / "shaders"
+    assert "published" in shipped_names("calibrations")
+    (tmp_path / "gsrain_engine" / "sample_configs" / "calibrations").mkdir(parents=True)
+    (tmp_path / "gsrain_engine" / "sample_configs" / "calibrations" / "own.yaml").touch()
+    monkeypatch.setattr(
+        "gsrain_engine.shipped_configs.__file__", str(tmp_path / "gsrain_engine" / "shipped_configs.py")
+    )
+    assert shipped_names("calibrations") == ["own"]
 
 
 def test_the_newest_release_among_the_changes_is_this_version():

@@ -1,7 +1,6 @@
 """Marks, opacity and colours of a part on the processor: as if the Gaussians themselves were so."""
 
 import re
-from importlib import resources
 from typing import get_args
 
 import numpy as np
@@ -17,6 +16,7 @@ from gsrain_engine.scene.grading import Grading, graded
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Part
 from gsrain_engine.session.picture.cpu_picture import compile_kernels
+from gsrain_engine.shipped_configs import shipped_folder
 from oracles.rasterizer import rasterize_slowly
 from rasterized import rasterize
 
@@ -134,7 +134,7 @@ def test_what_is_left_out_has_no_weight_in_a_view():
 
 
 def test_shader_and_kernels_have_the_same_tint():
-    text = resources.files("shaders").joinpath("common_tint.glsl").read_text(encoding="utf-8")
+    text = (shipped_folder("shaders") / "common_tint.glsl").read_text(encoding="utf-8")
     color = re.search(r"TINT = vec3\((.*)\)", text)
     share = re.search(r"TINT_SHARE = ([\d.]+);", text)
     assert color is not None

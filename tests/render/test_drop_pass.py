@@ -1,7 +1,6 @@
 """Drops on the GPU: the same places to the bit, the same drops, the same picture as from the compiled kernels."""
 
 from dataclasses import replace
-from importlib import resources
 
 import msgspec
 import numpy as np
@@ -17,6 +16,7 @@ from gsrain_engine.rain.weather import Weather, WeatherKey
 from gsrain_engine.render.drop_pass import DropPass, class_rows
 from gsrain_engine.render.splat_renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.shipped_configs import shipped_folder
 
 EYE = np.array([3.0, -2.0, 1.5])
 CAMERA = Camera.from_fov(320, 200, 45.0, look_at(EYE, EYE + np.array([1, 0.2, 0.1]), np.array([0, 0, 1.0])))
@@ -55,7 +55,7 @@ def falling(time_s=12.3, velocity=(9.0, 1.0, 0.0), travelled=(0.0, 0.0, 0.0), we
 def test_every_drop_is_at_the_same_place_to_the_bit(context, time_s, travelled, changes):
     """From the first seconds to 10,000 s, and 10 km down the road."""
     field = falling(time_s, travelled=travelled, **changes).streak_field
-    body = resources.files("shaders").joinpath("common_drop_field.glsl").read_text()
+    body = (shipped_folder("shaders") / "common_drop_field.glsl").read_text()
     shader = context.compute_shader(f"""#version 430
         layout(local_size_x = 256) in;
         {body}

@@ -1,7 +1,6 @@
 """Compute shaders on a GPU made of Python: threads in shuffled orders, and every access that nothing puts in order."""
 
 from dataclasses import replace
-from importlib import resources
 
 import moderngl
 import msgspec
@@ -24,6 +23,7 @@ from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Part
+from gsrain_engine.shipped_configs import shipped_folder
 from interpreted_gpu.context import InterpretedContext
 
 EYE = np.array([3.0, -2.0, 1.5])
@@ -185,7 +185,7 @@ def test_a_frame_in_rain_runs_every_shader_without_a_race(context, one_digit):
     assert list(interpreted.faults) == []
     assert results[0] == results[1]
     assert len(results[0][1]) > 30
-    files = {each.name: each for each in resources.files("shaders").iterdir() if each.name.endswith(".comp")}
+    files = {each.name: each for each in shipped_folder("shaders").iterdir() if each.name.endswith(".comp")}
     assert interpreted.shaders_run == set(files)
     assert all("// No races: " in each.read_text() for each in files.values())
 

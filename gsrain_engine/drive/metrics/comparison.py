@@ -2,10 +2,12 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 from gsrain_engine.evaluate.mean_interval import MeanInterval, mean_interval
 
+from ..rollouts.json_lines import write_rollout
 from ..rollouts.rollout import Rollout
 from .hd_score import DrivableArea
 from .planned_collisions import Touchable
@@ -23,6 +25,12 @@ class Run(NamedTuple):
     def of(cls, rollout: Rollout, occupied: Touchable | None = None, drivable: DrivableArea | None = None) -> "Run":
         """Measure a roll-out."""
         return cls(measured(rollout, occupied, drivable), rollout)
+
+    def save(self, path: Path | str) -> None:
+        """Write the roll-out as JSON lines, which the window plays; raises `ValueError` where there is none."""
+        if self.rollout is None:
+            raise ValueError(f"{path}: this run has metrics but no roll-out to be written")
+        write_rollout(Path(path), self.rollout)
 
 
 @dataclass(frozen=True, slots=True)

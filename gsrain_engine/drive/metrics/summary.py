@@ -82,6 +82,11 @@ class DriveMetrics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     rc: Share | None
     hdscore: Share | None
 
+    @property
+    def collided(self) -> bool:
+        """Whether the ego vehicle hit a road user or the background."""
+        return self.collision
+
 
 def measured(rollout: Rollout, occupied: Touchable | None = None, drivable: DrivableArea | None = None) -> DriveMetrics:
     """Measure a run. `occupied` and `drivable` are of the world that it was driven in; without them they don't count.

@@ -7,17 +7,22 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import platformdirs
 
 from gsrain_engine.untrusted.limits import open_file
 from gsrain_engine.untrusted.printable import printable
 
-from ..calibration import Provenance, SourceFile
+from ..calibration import Provenance, SourceFile, save_calibration
 from ..disdrometer.reading import SingleDrops
 from ..disdrometer.tables import TableColumns
+from ..rain import Rain
 from .calibrate import fit_calibration
 from .fit_options import FitOptions
 from .measured_file import MeasuredFile, check_rates, open_measured
 from .result import FittedCalibration
+
+WET_MINUTE_MM_H = 0.1
+"""Below this a minute counts as dry: the resolution of most rain gauges."""
 
 
 class RatesDisagreeError(ValueError):
@@ -67,6 +72,35 @@ def calibrate_files(
         raise ValueError(f"{names if len(files) == 1 else f'{len(files)} files together'}: {error}") from None
     calibration = msgspec.structs.replace(fitted.calibration, provenance=_provenance(files, fitted, options))
     return replace(fitted, calibration=calibration)
+
+
+def rain_as_measured(
+    paths: Sequence[Path | str], intensity_mm_h: float | None = None, *, save_to: Path | str | None = None
+) -> Rain:
+    """Fit a calibration to files of one instrument, save it, and return rain that falls by it.
+
+    Args:
+        paths: Disdrometer files.
+        intensity_mm_h: Intensity of the rain; None takes the mean of the minutes with at least `WET_MINUTE_MM_H`.
+        save_to: YAML file of the calibration; None keeps it in the user's cache folder, under the files' hash.
+
+    Raises:
+        ValueError: As `calibrate` does, and where no minute has rain that could give the intensity.
+    """
+    files = [Path(each) for each in paths]
+    fitted = calibrate(files, name=files[0].stem if files else "")
+    if save_to is None:
+        digest = hashlib.sha256("".join(map(_sha256, files)).encode()).hexdigest()[:16]
+        save_to = Path(platformdirs.user_cache_dir("gsrain", appauthor=False)) / "calibrations" / f"{digest}.yaml"
+    save_to = Path(save_to)
+    save_to.parent.mkdir(parents=True, exist_ok=True)
+    save_calibration(fitted.calibration, save_to)
+    if intensity_mm_h is None:
+        wet = fitted.minute_rate_mm_h[fitted.minute_rate_mm_h >= WET_MINUTE_MM_H]
+        if not len(wet):
+            raise ValueError(f"{files[0]}: no minute has {WET_MINUTE_MM_H:g} mm/h or more; give an intensity")
+        intensity_mm_h = float(wet.mean())
+    return Rain(intensity_mm_h=intensity_mm_h, calibration=str(save_to))
 
 
 def rates_problem(files: Sequence[MeasuredFile]) -> str | None:

@@ -1,6 +1,6 @@
 """Transfers as work for another process: a saved scene and plain values in, pictures and wet colours out."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,15 +47,24 @@ def make_rainy(copy: Path, order: TransferOrder, output: Path, report: Path | No
     """Work of the job "Make it rainy": transfer views of a saved scene, solve for its wet colours and write them."""
     yield Progress(0.0, "Reading the scene")
     scene = read_scene(copy)
-    capture = None if order.capture is None else open_capture(order.capture, allow_outside=order.allow_outside)
-    views = scene_views(scene, chosen_cameras(scene, order.choice, capture))
     kept = KeptComparisons(_opened(order.method, order.settings, scene))
-    # Pictures that don't agree with each other need the robust steps and an exposure each.
-    settings = QUICK if order.method == "wet" else RecolorSettings()
-    rainy = yield from rainy_scene(scene, views, kept, settings)
+    rainy = yield from _with_colors_by(kept, scene, order)
     if report is not None:
         write_report(report, kept.report(rainy, order.method))
     write_recolored(output, {each.key: each.wet_sh for each in rainy.members if each.wet_sh is not None})
+
+
+def rainy_by(scene: Scene, order: TransferOrder) -> Generator[Progress, None, Scene]:
+    """Give a scene the wet colors that an order asks for, in this process; yields and raises as `rainy_scene` does."""
+    return (yield from _with_colors_by(_opened(order.method, order.settings, scene), scene, order))
+
+
+def _with_colors_by(transfer: Transfer, scene: Scene, order: TransferOrder) -> Generator[Progress, None, Scene]:
+    capture = None if order.capture is None else open_capture(order.capture, allow_outside=order.allow_outside)
+    views = scene_views(scene, chosen_cameras(scene, order.choice, capture))
+    # Pictures that don't agree with each other need the robust steps and an exposure each.
+    settings = QUICK if order.method == "wet" else RecolorSettings()
+    return (yield from rainy_scene(scene, views, transfer, settings))
 
 
 def preview_view(copy: Path, method: str, settings: TransferSettings, placed: PlacedCamera) -> Iterator[Progress]:

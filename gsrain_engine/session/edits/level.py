@@ -1,13 +1,21 @@
 """Which way is up, and how high the ground is: from points that a person picks, or from the ground itself."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Float64
 
 from gsrain_engine.scene.rotations import matrices_from_quaternions
 from gsrain_engine.scene.scene import Scene
+
+from .scale import set_length
+
+Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
+"""A direction along an axis of a scene."""
+
+UNIT_M = (1e-6, 1e6)
+"""Lengths of a scene unit that are taken, in metres."""
 
 _SAMPLES = 100_000
 _TRIES = 400
@@ -31,6 +39,27 @@ class Ground(NamedTuple):
     """One point of it."""
     share: float
     """Of the samples of the scene that lie on it."""
+
+
+def oriented(scene: Scene, up: str | None = None, metres_per_unit: float | None = None) -> Scene:
+    """Return the scene with another axis up and another length of its unit; None leaves either as it is.
+
+    Files of Gaussians hold neither. A scene that is turned has no known height of its ground any more. Raises
+    `ValueError` for an axis or a length that is not allowed.
+    """
+    if up is not None:
+        if up not in get_args(Axis):
+            raise ValueError(f"up {up!r}: expected one of {', '.join(get_args(Axis))}")
+        sign, component = (-1.0 if up.startswith("-") else 1.0), "xyz".index(up[-1])
+        x, y, z = (sign if axis == component else 0.0 for axis in range(3))
+        if (x, y, z) != scene.up:
+            scene = replace(scene, up=(x, y, z), ground_m=None)
+    if metres_per_unit is None:
+        return scene
+    low, high = UNIT_M
+    if not low <= metres_per_unit <= high:
+        raise ValueError(f"scale {metres_per_unit:g}: must be within {low:f}..{high:.0f} metres per unit")
+    return set_length(scene, scene.metres_per_unit, metres_per_unit)
 
 
 def level_to(scene: Scene, up: Float64[np.ndarray, "3"], point_m: Float64[np.ndarray, "3"]) -> Scene:

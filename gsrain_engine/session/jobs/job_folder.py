@@ -3,9 +3,9 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -27,7 +27,7 @@ class JobFolder:
     def __init__(self, files: ThreadPoolExecutor) -> None:
         self._files = files
         self._path: Path | None = None
-        self._lock = ExitStack()
+        self._open = ExitStack()
 
     def do(self, work: Callable[[Path], _Result]) -> Future[_Result]:
         """Do something with the folder in the thread."""
@@ -42,24 +42,34 @@ class JobFolder:
 
     def _done(self, work: Callable[[Path], _Result]) -> _Result:
         if self._path is None:
-            self._path = self._made()
+            self._path = self._open.enter_context(temporary_folder())
         return work(self._path)
-
-    def _made(self) -> Path:
-        while True:
-            path = Path(tempfile.mkdtemp(prefix=_PREFIX))
-            with suppress(FileNotFoundError):
-                self._lock.enter_context(locked(path))
-            if path.is_dir():
-                return path
-            self._lock.close()  # another process took it for an abandoned one before it was locked
 
     def _removed(self, worker: Job | None) -> None:
         if worker is not None:
             worker.close()
-        if self._path is not None:
-            shutil.rmtree(self._path, ignore_errors=True)
-        self._lock.close()
+        self._open.close()
+
+
+@contextmanager
+def temporary_folder() -> Generator[Path]:
+    """Make a folder that is there for as long as the block runs; see `remove_abandoned_folders`."""
+    with ExitStack() as lock:
+        path = _locked_folder(lock)
+        try:
+            yield path
+        finally:
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _locked_folder(lock: ExitStack) -> Path:
+    while True:
+        path = Path(tempfile.mkdtemp(prefix=_PREFIX))
+        with suppress(FileNotFoundError):
+            lock.enter_context(locked(path))
+        if path.is_dir():
+            return path
+        lock.close()  # another process took it for an abandoned one before it was locked
 
 
 def remove_abandoned_folders() -> None:

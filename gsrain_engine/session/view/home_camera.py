@@ -19,6 +19,8 @@ _MARGIN = 1.12
 """Around the box, which leaves out 2 % along each axis."""
 ORBIT_S = 8.0
 """How long the swing around a scene takes that has no drive."""
+ORBIT_DEG = 40.0
+"""Angle of that swing."""
 
 
 def home_camera(scene: Scene, width: int, height: int) -> Camera:
@@ -56,7 +58,19 @@ def default_path(scene: Scene, width: int, height: int) -> CameraPath:
     front = front_camera(scene)
     if front is not None:
         return drive_path(scene, front, width, height)
-    return orbit_path(scene_core(scene).middle, home_camera(scene, width, height), ORBIT_S)
+    return orbit_around(scene, width, height)
+
+
+def orbit_around(
+    scene: Scene, width: int, height: int, duration_s: float = ORBIT_S, sweep_deg: float = ORBIT_DEG
+) -> CameraPath:
+    """Swing around a scene's middle, from one side of its home camera to the other, in so many seconds. World frame.
+
+    Raises `ValueError` where the time is not above 0.
+    """
+    if not duration_s > 0:
+        raise ValueError(f"an orbit of {duration_s:g} s: its time must be above 0 s")
+    return orbit_path(scene_core(scene).middle, home_camera(scene, width, height), duration_s, sweep_deg)
 
 
 def front_camera(scene: Scene) -> RigCamera | None:

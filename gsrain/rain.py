@@ -1,0 +1,154 @@
+"""Rain: what is asked for, and what the virtual disdrometer measures of it."""
+
+from abc import ABC
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from gsrain_engine.rain.presets import load_preset
+from gsrain_engine.rain.rain import Rain as RainSettings
+from gsrain_engine.untrusted.explained_errors import converted
+
+if TYPE_CHECKING:
+    from gsrain_engine.rain.counted_drops import CountedDrops
+
+_FIELDS = {"intensity": "intensity_mm_h", "wind": "wind_m_s", "exposure": "exposure_s", "gusts": "gust_m_s"}
+"""Short names, which the units in the docstring go with, and the fields that they set."""
+
+
+class Rain(ABC):  # noqa: B024  it is one so that settings count as its instances
+    """Makes rain settings: `gr.Rain(intensity=8.5, wind=(2, 0), seed=1)`.
+
+    What it returns is a `RainSettings` value, which counts as an instance of `Rain`. It has units in the names of its
+    fields: `rain.intensity_mm_h`, `rain.wind_m_s`. The same settings and time give the same drops.
+    """
+
+    def __new__(
+        cls,
+        intensity: float = 0.0,
+        *,
+        wind: tuple[float, float] = (0.0, 0.0),
+        gusts: float = 0.0,
+        exposure: float | None = None,
+        seed: int = 0,
+        **settings: Any,
+    ) -> RainSettings:
+        """Return settings, checked.
+
+        Args:
+            intensity: Rainfall intensity R in mm/h, 0..100; calibrated up to 13.
+            wind: Horizontal wind along the world's x and y in m/s.
+            gusts: Amplitude of the wind's slow variation in m/s.
+            exposure: Shutter time in s; None takes the camera's own (4 ms by day).
+            seed: Seed of the drops, 0..2^32 - 1.
+            settings: Further fields of `RainSettings` by their names, such as `wetness=1.0` or `haze=False`.
+
+        Raises:
+            ValueError: For an unknown or wrong setting, with what is allowed.
+        """
+        given = {"intensity_mm_h": intensity, "wind_m_s": wind, "gust_m_s": gusts, "exposure_s": exposure, "seed": seed}
+        return _checked(msgspec.to_builtins(RainSettings()) | given | settings)
+
+    @classmethod
+    def preset(cls, name: str) -> RainSettings:
+        """Load a shipped preset ("clear", "1.2", "8.5", "12.0", "paper") by name, or a preset file by path.
+
+        Raises `ValueError` with the file, the field and what is allowed.
+        """
+        return load_preset(name)
+
+    @classmethod
+    def from_disdrometer(
+        cls,
+        files: Path | str | Sequence[Path | str],
+        *,
+        intensity: float | None = None,
+        save_to: Path | str | None = None,
+    ) -> RainSettings:
+        """Fit a calibration to measured drops, and return rain that falls by it.
+
+        Args:
+            files: A file of a disdrometer, or several of one instrument: Parsivel, Thies LNM, Joss-Waldvogel, 2DVD,
+                netCDF.
+            intensity: Intensity in mm/h; None takes the mean over the minutes with rain.
+            save_to: YAML file for the calibration; None keeps it in the cache folder.
+
+        Raises:
+            ValueError: When a file can't be read, has too little rain, or contradicts itself.
+        """
+        from gsrain_engine.rain.fitting.calibrate_files import rain_as_measured
+
+        paths = [files] if isinstance(files, str | Path) else list(files)
+        rain = rain_as_measured(paths, intensity, save_to=save_to)
+        return _checked(msgspec.to_builtins(rain))
+
+
+Rain.register(RainSettings)
+
+
+@dataclass(frozen=True)
+class RainMeasurement:
+    """What the virtual disdrometer measured."""
+
+    counted: "CountedDrops"
+    """All that was counted, by drop class; `counted.spectra` is what an instrument would hand over."""
+
+    @property
+    def rate(self) -> float:
+        """Rain rate in mm/h."""
+        return self.counted.rate_mm_h
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error of the rate in mm/h, from the number of drops."""
+        return self.counted.standard_error_mm_h
+
+    @property
+    def drops(self) -> int:
+        """Number of drops that were counted."""
+        return self.counted.drops
+
+    @property
+    def mean_diameter(self) -> float | None:
+        """Mean diameter of the drops in the air in mm; None without drops."""
+        return self.counted.mean_diameter_mm
+
+    def __str__(self) -> str:
+        return f"{self.rate:.2f} +- {self.standard_error:.2f} mm/h"
+
+    def __repr__(self) -> str:
+        return f"<gsrain.RainMeasurement {self}, {self.drops:,} drops>"
+
+
+def measure_rain(rain: RainSettings, seconds: float = 60.0, *, area: float = 0.5) -> RainMeasurement:
+    """Count the simulated drops that fall through a horizontal square, as a disdrometer would.
+
+    Args:
+        rain: The rain.
+        seconds: Simulated time in s.
+        area: Area of the square in square meters.
+
+    Raises:
+        ValueError: For a time that is not above 0, or an area on which the drop field would repeat.
+    """
+    from gsrain_engine.rain.rainfall import Rainfall
+    from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
+
+    if not 0 < seconds < np.inf:
+        raise ValueError(f"seconds {seconds:g}: must be above 0")
+    return RainMeasurement(VirtualDisdrometer(Rainfall.start(rain), area).measure(np.array([0.0, float(seconds)])))
+
+
+def _checked(values: dict[str, Any]) -> RainSettings:
+    """Return settings; what is wrong is reported by the short name of the argument."""
+    try:
+        return converted(values, RainSettings)
+    except ValueError as error:
+        message = str(error)
+    for short, field in _FIELDS.items():
+        message = message.replace(f"`$.{field}", f"`{short}").replace(field, short)
+    raise ValueError(message.replace("`$.", "`")) from None

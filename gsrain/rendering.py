@@ -1,0 +1,301 @@
+"""Images and videos of a scene in the rain, rendered without a window."""
+
+import atexit
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from functools import cache
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+from gsrain_engine.backends import Backend, open_renderer
+from gsrain_engine.rain.rain import Rain as RainSettings
+from gsrain_engine.render.film import film, film_frames
+from gsrain_engine.render.recording import DEFAULT_SIZE_PX, Recording
+from gsrain_engine.render.still import render_still
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.paths.camera_path import CameraPath
+from gsrain_engine.scene.progress import Progress
+from gsrain_engine.scene.scene import Scene
+from gsrain_engine.session.view.home_camera import default_path, home_camera
+from gsrain_engine.untrusted.explained_errors import converted
+
+from .image import Image
+
+DRY = RainSettings()
+"""No rain."""
+
+
+class Renderer:
+    """Renders without a window: `with gr.Renderer("cpu") as r: r.render(scene, rain, camera)`.
+
+    It keeps the last scene's Gaussians on the device, so that loops don't upload them again. `gr.render` opens one by
+    itself and keeps it. Several threads may share one: they take turns.
+    """
+
+    def __init__(self, backend: Backend = "auto") -> None:
+        """Open a back end: "opengl", "cpu", "cuda" (gsplat), or "auto": OpenGL on a GPU, else the processor.
+
+        Raises `OSError` or `ValueError`, which say what is missing, where one was asked for that can't be opened.
+        """
+        self._lock = threading.RLock()
+        self._open = ExitStack()
+        self._renderer = self._open.enter_context(open_renderer(backend))
+        self._is_open = True
+
+    @property
+    def backend(self) -> str:
+        """Name of the back end that renders."""
+        return self._renderer.name
+
+    def render(
+        self,
+        scene: Scene,
+        rain: RainSettings | None = None,
+        camera: Camera | CameraPath | None = None,
+        *,
+        size: tuple[int, int] | None = None,
+        time: float = 0.0,
+        depth: bool = True,
+    ) -> Image:
+        """Render one image; see `gr.render`."""
+        seen = _still_camera(scene, camera, size, time)
+        with self._lock:
+            self._check_open()
+            return Image(render_still(self._renderer, scene, rain or DRY, seen, time, with_depth=depth))
+
+    def frames(
+        self,
+        scene: Scene,
+        rain: RainSettings | None = None,
+        path: CameraPath | Camera | None = None,
+        *,
+        size: tuple[int, int] | None = None,
+        fps: float = 30.0,
+        start: float = 0.0,
+        end: float | None = None,
+        depth: bool = False,
+    ) -> Iterator[Image]:
+        """Render the frames of a clip one by one; see `gr.frames`."""
+        recording = _recording("frames", path, size, fps, start, end)
+        with self._lock:
+            self._check_open()
+            seen = path or default_path(scene, *DEFAULT_SIZE_PX)
+            made = film_frames(self._renderer, recording, scene, rain or DRY, seen, with_depth=depth)
+        return self._taken(made)
+
+    def render_video(
+        self,
+        scene: Scene,
+        rain: RainSettings | None,
+        path: CameraPath | Camera | None,
+        output: Path | str,
+        *,
+        size: tuple[int, int] | None = None,
+        fps: float = 30.0,
+        start: float = 0.0,
+        end: float | None = None,
+        clear_pair: bool = False,
+        supersampling: int = 1,
+        motion_blur: int = 1,
+        quality: int | None = None,
+        progress: Callable[[Progress], object] | None = None,
+    ) -> Path:
+        """Render a clip to a file; see `gr.render_video`."""
+        recording = _recording(
+            str(output), path, size, fps, start, end,
+            twin=clear_pair, supersampling=supersampling, motion_blur=motion_blur, quality=quality,
+        )  # fmt: skip
+        with self._lock:
+            self._check_open()
+            seen = path or default_path(scene, *DEFAULT_SIZE_PX)
+            for step in film(self._renderer, recording, scene, rain or DRY, seen):
+                if progress is not None:
+                    progress(step)
+        return recording.path
+
+    def close(self) -> None:
+        """Free the device; calling it again does nothing."""
+        with self._lock:
+            self._is_open = False
+            self._open.close()
+
+    def __enter__(self) -> "Renderer":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> Literal[False]:
+        self.close()
+        return False
+
+    def __repr__(self) -> str:
+        return f"<gsrain.Renderer {self.backend}{'' if self._is_open else ', closed'}>"
+
+    def _taken(self, made: Iterator[Any]) -> Iterator[Image]:
+        while True:
+            with self._lock:
+                self._check_open()
+                frame = next(made, None)
+            if frame is None:
+                return
+            yield Image(frame)
+
+    def _check_open(self) -> None:
+        if not self._is_open:
+            raise ValueError("this Renderer is closed: open another one")
+
+
+def render(
+    scene: Scene,
+    rain: RainSettings | None = None,
+    camera: Camera | CameraPath | None = None,
+    *,
+    size: tuple[int, int] | None = None,
+    time: float = 0.0,
+    depth: bool = True,
+    backend: Backend = "auto",
+) -> Image:
+    """Render one image of a scene in the rain.
+
+    Args:
+        scene: The scene; wet colors, where it has them, come with the rain's wetness.
+        rain: The rain; None is none.
+        camera: A camera in the world (meters, z up), or a path, of which the camera at `time` is taken; None is the
+            scene's home camera.
+        size: Width and height in pixels; None is the camera's own size, or 960 x 640 without a camera.
+        time: Moment of scene and rain in seconds.
+        depth: Whether `Image.depth` is rendered, too.
+        backend: "opengl", "cpu", "cuda", or "auto": OpenGL on a GPU, else the processor. It stays open for the next
+            call.
+
+    Raises:
+        ValueError: For a size that is not allowed, and a calibration that the rain names and there is not.
+    """
+    return _shared(backend).render(scene, rain, camera, size=size, time=time, depth=depth)
+
+
+def frames(
+    scene: Scene,
+    rain: RainSettings | None = None,
+    path: CameraPath | Camera | None = None,
+    *,
+    size: tuple[int, int] | None = None,
+    fps: float = 30.0,
+    start: float = 0.0,
+    end: float | None = None,
+    depth: bool = False,
+    backend: Backend = "auto",
+) -> Iterator[Image]:
+    """Render the frames of a clip one by one, and write nothing: `for image in gr.frames(scene, rain, path): ...`.
+
+    Args:
+        scene: The scene.
+        rain: The rain; None is none.
+        path: A camera path in the world; or a camera that stands still; None is the ego vehicle's drive, else an orbit.
+        size: Width and height in pixels; None is the camera's own size, or 960 x 640.
+        fps: Frames per second.
+        start: Moment of the first frame in seconds, of scene, rain and path.
+        end: Moment at which the clip ends; None is the end of the path, or 10 s for a camera that stands still.
+        depth: Whether `Image.depth` is rendered, too.
+        backend: As in `render`.
+
+    Raises:
+        ValueError: For settings that are not allowed.
+    """
+    return _shared(backend).frames(scene, rain, path, size=size, fps=fps, start=start, end=end, depth=depth)
+
+
+def render_video(
+    scene: Scene,
+    rain: RainSettings | None,
+    path: CameraPath | Camera | None,
+    output: Path | str,
+    *,
+    size: tuple[int, int] | None = None,
+    fps: float = 30.0,
+    start: float = 0.0,
+    end: float | None = None,
+    clear_pair: bool = False,
+    supersampling: int = 1,
+    motion_blur: int = 1,
+    quality: int | None = None,
+    progress: Callable[[Progress], object] | None = None,
+    backend: Backend = "auto",
+) -> Path:
+    """Render a video, or a folder of frames; the same bytes as `gsrain render` writes.
+
+    Args:
+        scene: The scene.
+        rain: The rain; None is none.
+        path: A camera path in the world; or a camera that stands still; None is the ego vehicle's drive, else an orbit.
+        output: .mp4 (H.264) or .webm (VP9); a name without an ending is a folder of PNG frames.
+        size: Width and height in pixels, even for videos; None is the camera's own size, or 960 x 640.
+        fps: Frames per second.
+        start: Moment of the first frame in seconds, of scene, rain and path.
+        end: Moment at which the clip ends; None is the end of the path, or 10 s for a camera that stands still.
+        clear_pair: Whether to write the same clip at 0 mm/h, too, as NAME.clear with the same ending.
+        supersampling: Render 1..4 times wider and higher, and take the mean.
+        motion_blur: Sub-frames, 1..64, over the exposure.
+        quality: Constant rate factor, lower is better: 0..51 in .mp4 (default 18), 0..63 in .webm (default 24).
+        progress: Called after each frame with `fraction` (0..1), `message`, and at times a `preview` image.
+        backend: As in `render`.
+
+    Returns:
+        The output as a path.
+
+    Raises:
+        ValueError: For settings that are not allowed or contradict each other.
+        OSError: When the output can't be written; what was written until then can be played.
+    """
+    return _shared(backend).render_video(
+        scene, rain, path, output, size=size, fps=fps, start=start, end=end, clear_pair=clear_pair,
+        supersampling=supersampling, motion_blur=motion_blur, quality=quality, progress=progress,
+    )  # fmt: skip
+
+
+@cache
+def _shared(backend: Backend) -> Renderer:
+    """Return the renderer that the functions of this module share, opened when it is first needed."""
+    renderer = Renderer(backend)
+    atexit.register(renderer.close)
+    return renderer
+
+
+def _still_camera(
+    scene: Scene, camera: Camera | CameraPath | None, size: tuple[int, int] | None, time: float
+) -> Camera:
+    width, height = _recording("image.png", camera, size, 30.0, time, None).size_px or DEFAULT_SIZE_PX
+    match camera:
+        case None:
+            return home_camera(scene, width, height)
+        case Camera():
+            return camera.resized(width, height) if size is not None else camera
+        case CameraPath():
+            return camera.camera(time, width, height)
+
+
+def _recording(
+    output: str,
+    viewpoint: Camera | CameraPath | None,
+    size: tuple[int, int] | None,
+    fps: float,
+    start: float,
+    end: float | None,
+    **settings: Any,
+) -> Recording:
+    """Return checked settings of a clip; what is wrong is reported by the argument's name."""
+    own = None if isinstance(viewpoint, Camera) else DEFAULT_SIZE_PX
+    values = {"output": output, "size_px": size or own, "fps": fps, "first_s": start, "last_s": end} | settings
+    try:
+        return converted(values, Recording)
+    except ValueError as error:
+        message = str(error)
+    for field, argument in _ARGUMENTS.items():
+        message = message.replace(field, argument)
+    raise ValueError(message.replace("`$.", "`")) from None
+
+
+_ARGUMENTS = {"size_px": "size", "first_s": "start", "last_s": "end", "twin": "clear_pair"}
+"""Arguments by the field that they set, where they are called otherwise."""

@@ -1,0 +1,115 @@
+"""Scenes and captures: loaded, saved, and given wet colors."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from gsrain_engine.appearance.methods import method_of
+from gsrain_engine.appearance.transfer_settings import TransferSettings
+from gsrain_engine.appearance.views.choice import ViewChoice
+from gsrain_engine.datasets.capture import Capture as Capture
+from gsrain_engine.datasets.capture import CaptureError as CaptureError
+from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.scene.errors import SceneFormatError as SceneFormatError
+from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.gaussians import Gaussians as Gaussians
+from gsrain_engine.scene.gaussians import sh_from_color as sh_from_color
+from gsrain_engine.scene.members import Actor as Actor
+from gsrain_engine.scene.members import Layer as Layer
+from gsrain_engine.scene.open_scene import open_scene, open_to_draw
+from gsrain_engine.scene.progress import Progress as Progress
+from gsrain_engine.scene.progress import finished
+from gsrain_engine.scene.scene import Scene as Scene
+from gsrain_engine.session.edits.level import Axis, oriented
+from gsrain_engine.untrusted.explained_errors import converted
+
+QUICK_VIEWS = 8
+"""Views that the built-in wet look is computed from: enough for a first look, and made in seconds."""
+_PATHS = ("weights", "base", "images", "normals_weights", "normals_checkout")
+
+
+def load(
+    path: Path | str = "street", *, up: Axis | None = None, scale: float | None = None, sort: bool = True
+) -> Scene:
+    """Load a scene.
+
+    Args:
+        path: A 3DGS file (.ply, .compressed.ply, .splat, .spz, .ksplat, .sog), a scene folder, or "street": the
+            built-in street.
+        up: Axis of the file that points up, such as "-y". None is what the file says; files of Gaussians say nothing,
+            and are taken as "-y".
+        scale: Length of one unit of the file in meters; None is what the file says, else 1.
+        sort: Whether to bring the Gaussians into the order that draws fastest; False keeps the order of the file.
+
+    Raises:
+        SceneFormatError: When it can't be read; names the file and the field.
+        ValueError: For an axis or a scale that is not allowed.
+    """
+    return oriented(open_to_draw(path) if sort else open_scene(path), up, scale)
+
+
+def save(scene: Scene, path: Path | str) -> None:
+    """Save a scene as a scene folder, which keeps everything, or as one file: .ply, .splat or .spz, by the ending.
+
+    Raises `SceneFormatError` for an ending that can't be written, `OSError` where the disk refuses.
+    """
+    write_scene(scene, Path(path))
+
+
+def capture(path: Path | str, *, allow_outside: bool | None = None) -> Capture:
+    """Open a recording: images with cameras, and lidar, boxes and masks where it has them. Images are read when used.
+
+    Args:
+        path: A folder of COLMAP, nerfstudio, nuScenes (`"nuscenes/scene-0103"`), Waymo, KITTI, DGP, BDD-100K or
+            RainSense, or one with images alone.
+        allow_outside: Whether files may be read that lie outside of the folder; None follows the program's setting.
+
+    Raises:
+        CaptureError: When it can't be read; names the file and what is wrong.
+    """
+    return open_capture(path, allow_outside=allow_outside)
+
+
+def wet(
+    scene: Scene,
+    *,
+    method: str = "wet",
+    weights: Path | str | None = None,
+    views: int | None = None,
+    progress: Callable[[Progress], object] | None = None,
+    **settings: Any,
+) -> Scene:
+    """Give a scene wet colors: views of it are made to look rainy, and its colors are solved for those.
+
+    The geometry and the clear colors stay; `Rain.wetness`, by default what follows from the intensity, blends between
+    the two. The built-in look takes seconds and needs no weights.
+
+    Args:
+        scene: The dry scene.
+        method: "wet", the built-in look; "cyclegan-turbo", the paper's diffusion model, which needs torch and its
+            weights; "images", pictures of the same views from another program; or a method of an installed package.
+        weights: File with the weights of a learned method.
+        views: Number of views; None takes 8 for the built-in look, 24 for others.
+        progress: Called with each step: `fraction` (0..1), `message`, and at times a `preview` image.
+        settings: Further fields of the transfer's settings, such as `seed`, `base` or `images`.
+
+    Raises:
+        ValueError: For an unknown method or setting, and where what the method needs is missing.
+    """
+    from gsrain_engine.session.appearance.transfer_work import TransferOrder, rainy_by  # kernels take a second to load
+
+    row = method_of(method)
+    given = settings if weights is None else settings | {"weights": weights}
+    given = {name: Path(value) if name in _PATHS and isinstance(value, str) else value for name, value in given.items()}
+    chosen: TransferSettings = converted(given, TransferSettings)
+    for name in _PATHS:
+        path: Path | None = getattr(chosen, name)
+        if path is not None and not path.exists():
+            raise ValueError(f"{name} {path}: no such file or folder")
+    if row.needs is not None and getattr(chosen, row.needs) is None:
+        raise ValueError(f"method {method!r} needs the argument {row.needs}=")
+    count = QUICK_VIEWS if views is None and method == "wet" else views
+    choice: ViewChoice = msgspec.convert({"count": count}, ViewChoice)
+    return finished(rainy_by(scene, TransferOrder(method, chosen, choice)), progress)

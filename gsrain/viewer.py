@@ -1,0 +1,295 @@
+"""The window from Python: opened in a process of its own, and steered by setting properties."""
+
+import atexit
+import logging
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as NoReplyError
+from contextlib import suppress
+from pathlib import Path
+from queue import SimpleQueue
+from types import TracebackType
+from typing import Any, BinaryIO, Literal, cast
+
+from gsrain_engine.rain.rain import Rain as RainSettings
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.formats.known_files import KnownFiles
+from gsrain_engine.scene.scene import Scene
+from gsrain_engine.session.jobs.job_folder import temporary_folder
+from gsrain_engine.session.jobs.scene_copy import write_copy
+
+from .viewer_messages import Close, GetState, Reply, Request, Screenshot, SetCamera, SetRain, SetScene, receive, send
+
+logger = logging.getLogger("gsrain")
+
+REPLY_S = 300.0
+"""Default time for a reply in seconds: the first picture can take minutes, where kernels have to be compiled."""
+_END_S = 10.0
+"""Time for the window to end by itself; then its process is ended."""
+
+
+class ViewerError(ConnectionError):
+    """The window can't be opened, is closed, or does not reply: one sentence."""
+
+
+class Viewer:
+    """A window that shows a scene: `v = gr.Viewer(scene, rain)` returns while it opens.
+
+    Setting `scene`, `rain` or `camera` changes what it shows, in the order in which they are set; reading `rain` or
+    `camera` returns what the window shows now, with what was changed there by hand. It closes with the program that has
+    opened it: `v.wait()` waits until a person closes it.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        rain: RainSettings | None = None,
+        *,
+        camera: Camera | None = None,
+        backend: Literal["auto", "opengl", "cpu"] = "auto",
+        timeout: float = REPLY_S,
+    ) -> None:
+        """Start the window's process.
+
+        Args:
+            scene: The scene to show.
+            rain: The rain; None is none.
+            camera: Where to look from; None is the scene's home camera.
+            backend: What draws in the window.
+            timeout: Longest time in seconds to wait for a reply of the window.
+
+        Raises:
+            OSError: When the process can't be started.
+        """
+        self._timeout = timeout
+        self._scene = scene
+        self._number = 0
+        self._lock = threading.Lock()
+        self._replies: dict[int, Future[Reply]] = {}
+        self._trouble = ""
+        self._ended = threading.Event()
+        self._outbox: SimpleQueue[Callable[[BinaryIO, Path], None] | None] = SimpleQueue()
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "app.viewer_window", backend],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=_environment(),
+        )
+        self._threads = [
+            threading.Thread(target=work, name=f"viewer {name}", daemon=True)
+            for name, work in (("requests", self._write), ("replies", self._read))
+        ]
+        for thread in self._threads:
+            thread.start()
+        atexit.register(self.close)
+        self.scene = scene
+        if rain is not None:
+            self.rain = rain
+        if camera is not None:
+            self.camera = camera
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that was set last; the camera stays where it is when another one is set."""
+        return self._scene
+
+    @scene.setter
+    def scene(self, scene: Scene) -> None:
+        self._check_open()
+        self._scene = scene
+        number = self._next_number()
+
+        def write(pipe: BinaryIO, folder: Path) -> None:
+            place = folder / str(number)
+            place.mkdir()
+            send(pipe, SetScene(number=number, folder=str(write_copy(scene, place, KnownFiles()))))
+
+        # The window has read the scene when it replies.
+        self._expect(number).add_done_callback(lambda _: self._outbox.put(lambda _, folder: _remove(folder, number)))
+        self._outbox.put(write)
+
+    @property
+    def rain(self) -> RainSettings:
+        """The rain that the window shows."""
+        rain = self._ask(GetState(number=self._next_number())).rain
+        assert rain is not None
+        return rain
+
+    @rain.setter
+    def rain(self, rain: RainSettings) -> None:
+        self._tell(SetRain(number=self._next_number(), rain=rain))
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the window in the world (meters, z up), in the size of its viewport in pixels.
+
+        The window's camera has no roll: that of a camera which is set is lost.
+        """
+        values = self._ask(GetState(number=self._next_number())).camera
+        assert values is not None
+        return Camera.from_json(values)
+
+    @camera.setter
+    def camera(self, camera: Camera) -> None:
+        values = camera.to_json() | {"exposure_s": camera.exposure_s}
+        self._tell(SetCamera(number=self._next_number(), camera=values))
+
+    def screenshot(self, path: Path | str) -> Path:
+        """Save what the viewport shows as PNG, once all that was set before is in the picture; returns the path.
+
+        Missing folders are made. Raises `ViewerError` where the window can't save it, is closed, or does not reply.
+        """
+        place = Path(path).absolute()
+        self._ask(Screenshot(number=self._next_number(), path=str(place)))
+        return Path(path)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the window's process runs."""
+        return not self._ended.is_set()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until the window is closed, at most `timeout` seconds; returns whether it is.
+
+        Raises `ViewerError` where the window has ended with an error.
+        """
+        is_closed = self._ended.wait(timeout)
+        if is_closed and self._trouble:
+            raise ViewerError(self._trouble)
+        return is_closed
+
+    def close(self) -> None:
+        """Close the window without a question; calling it again does nothing."""
+        if not self._ended.is_set():
+            self._send(Close(number=self._next_number()))
+            if not self._ended.wait(_END_S):
+                self._process.terminate()
+                if not self._ended.wait(_END_S):
+                    self._process.kill()
+        self._outbox.put(None)
+        atexit.unregister(self.close)
+        for thread in self._threads:
+            if thread is not threading.current_thread():
+                thread.join(_END_S)
+
+    def __enter__(self) -> "Viewer":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> Literal[False]:
+        self.close()
+        return False
+
+    def __repr__(self) -> str:
+        return f"<gsrain.Viewer of {self._scene.name!r}, {'open' if self.is_open else 'closed'}>"
+
+    # Requests
+
+    def _next_number(self) -> int:
+        with self._lock:
+            self._number += 1
+            return self._number
+
+    def _tell(self, request: Request) -> None:
+        self._check_open()
+        self._send(request)
+
+    def _ask(self, request: Request) -> Reply:
+        self._check_open()
+        expected = self._expect(request.number)
+        self._send(request)
+        try:
+            reply = expected.result(self._timeout)
+        except NoReplyError:
+            raise ViewerError(f"the viewer window has not replied for {self._timeout:g} s") from None
+        if reply.error:
+            raise ViewerError(reply.error)
+        return reply
+
+    def _expect(self, number: int) -> "Future[Reply]":
+        with self._lock:
+            return self._replies.setdefault(number, Future())
+
+    def _send(self, request: Request) -> None:
+        self._outbox.put(lambda pipe, _: send(pipe, request))
+
+    def _check_open(self) -> None:
+        if self._trouble:
+            raise ViewerError(self._trouble)
+        if self._ended.is_set():
+            raise ViewerError("the viewer window is closed: open another gr.Viewer")
+
+    # In threads
+
+    def _write(self) -> None:
+        """Do what is in the outbox, in its order; the folder of scenes goes in the end."""
+        pipe = cast(BinaryIO, self._process.stdin)
+        with temporary_folder() as folder:
+            while (work := self._outbox.get()) is not None:
+                try:
+                    work(pipe, folder)
+                except (BrokenPipeError, ValueError) as error:
+                    if isinstance(error, ValueError) and not pipe.closed:
+                        self._note(f"the scene can't be shown: {error}")
+                except OSError as error:
+                    self._note(f"the scene can't be written for the viewer window: {error}")
+        with suppress(OSError):  # it could not take the last message
+            pipe.close()
+
+    def _read(self) -> None:
+        """Take replies until the window is gone."""
+        pipe = cast(BinaryIO, self._process.stdout)
+        with pipe:
+            while (reply := cast(Reply | None, receive(pipe, Reply))) is not None:
+                if reply.number == 0:
+                    self._note(reply.error)
+                    continue
+                with self._lock:
+                    expected = self._replies.pop(reply.number, None)
+                if expected is not None:
+                    expected.set_result(reply)
+                elif reply.error:
+                    logger.error("%s", reply.error)
+        code = self._process.wait()
+        if code != 0 and not self._trouble:
+            self._note(f"the viewer window has died ({_death(code)}): open another gr.Viewer")
+        self._ended.set()
+        self._outbox.put(None)
+        with self._lock:
+            open_replies = list(self._replies.items())
+            self._replies.clear()
+        for number, expected in open_replies:
+            expected.set_result(Reply(number=number, error=self._trouble or "the viewer window was closed"))
+
+    def _note(self, trouble: str) -> None:
+        self._trouble = self._trouble or trouble
+
+
+def show(scene: Scene, rain: RainSettings | None = None, *, camera: Camera | None = None, **options: Any) -> None:
+    """Show a scene in a window, and wait until a person closes it; see `Viewer` for the arguments.
+
+    Raises `ViewerError` where the window can't be opened or ends with an error.
+    """
+    with Viewer(scene, rain, camera=camera, **options) as viewer:
+        viewer.wait()
+
+
+def _environment() -> dict[str, str]:
+    """Return the environment of the window, in which our packages come first, and none of the working folder."""
+    ours = str(Path(__file__).resolve().parents[1])
+    path = os.pathsep.join(filter(None, [ours, os.environ.get("PYTHONPATH")]))
+    return os.environ | {"PYTHONPATH": path, "PYTHONSAFEPATH": "1"}
+
+
+def _remove(folder: Path, number: int) -> None:
+    shutil.rmtree(folder / str(number), ignore_errors=True)
+
+
+def _death(code: int) -> str:
+    return f"signal {-code}" if code < 0 else f"exit code {code}"

@@ -1,0 +1,210 @@
+"""The functions of `gsrain`: what they return, that they agree with the command line, and how they refuse bad input."""
+
+import threading
+from dataclasses import replace
+from io import BytesIO
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+import gsrain as gr
+from app.command_line import run
+from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
+from gsrain_engine.rain.rainfall import Rainfall
+from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
+from gsrain_engine.scene.srgb import linear_to_srgb
+from small_scene import small_scene
+
+SIZE = (96, 64)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return small_scene()
+
+
+@pytest.fixture(scope="module")
+def rain():
+    return gr.Rain(intensity=8.5, wind=(2, 0), seed=1)
+
+
+def test_load_takes_the_axis_and_the_unit(tmp_path, scene):
+    gr.save(scene, tmp_path / "bare.ply")
+    assert gr.load(tmp_path / "bare.ply").up == (0, -1, 0)
+    lying = gr.load(str(tmp_path / "bare.ply"), up="z", scale=0.5)
+    assert lying.up == (0, 0, 1) and lying.metres_per_unit == 0.5 and not lying.unit_is_assumed
+    unsorted = gr.load(tmp_path / "bare.ply", sort=False)
+    assert np.array_equal(unsorted.layers[0].gaussians.means[:400, 0], scene.layers[0].gaussians.means[:, 0])
+    with pytest.raises(ValueError, match=r"up 'k': expected one of x, -x, y"):
+        gr.load(tmp_path / "bare.ply", up="k")
+    with pytest.raises(ValueError, match=r"scale 0: must be within"):
+        gr.load(tmp_path / "bare.ply", scale=0)
+    with pytest.raises(gr.SceneFormatError, match=r"nothing\.ply"):
+        gr.load(tmp_path / "nothing.ply")
+
+
+def test_rain_has_short_names_and_all_fields(rain):
+    assert rain == gr.RainSettings(intensity_mm_h=8.5, wind_m_s=(2, 0), seed=1)
+    assert isinstance(rain, gr.Rain) and isinstance(rain, gr.RainSettings) and not isinstance(8.5, gr.Rain)
+    assert gr.Rain(5, haze=False, wetness=1.0) == gr.RainSettings(intensity_mm_h=5, haze=False, wetness=1.0)
+    assert gr.Rain.preset("paper").exposure_s == 0.05
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"intensity": 101}, "<= 100.0 - at `intensity`"),
+        ({"wind": (99, 0)}, "wind must be within -40..40"),
+        ({"exposure": 7.0}, "exposure must be within"),
+        ({"intensty": 8}, "unknown field `intensty`; did you mean `intensity"),
+        ({"intensity": float("nan")}, "nan"),
+    ],
+)
+def test_rain_names_the_argument_that_is_wrong(given, message):
+    with pytest.raises(ValueError, match=message):
+        gr.Rain(**given)
+
+
+def test_rain_from_a_disdrometer(tmp_path):
+    logs = [tmp_path / f"{intensity}.nc" for intensity in (2.0, 8.0)]
+    for log in logs:
+        rainfall = Rainfall.start(gr.Rain(float(log.stem)))
+        write_spectra(log, VirtualDisdrometer(rainfall).measure(np.arange(0.0, 301.0, 60.0)).spectra)
+    rain = gr.Rain.from_disdrometer(logs, save_to=tmp_path / "here" / "cal.yaml")
+    assert rain.intensity_mm_h == pytest.approx(5.0, rel=0.05)
+    assert rain.calibration == str(tmp_path / "here" / "cal.yaml")
+    assert gr.measure_rain(rain, seconds=20).rate == pytest.approx(rain.intensity_mm_h, rel=0.1)
+    assert gr.Rain.from_disdrometer(logs, intensity=3, save_to=tmp_path / "cal.yaml").intensity_mm_h == 3
+
+
+def test_rain_is_measured():
+    measured = gr.measure_rain(gr.Rain(8.5), seconds=60)
+    assert isinstance(measured.rate, float) and abs(measured.rate - 8.5) < 4 * measured.standard_error
+    assert str(measured) == f"{measured.rate:.2f} +- {measured.standard_error:.2f} mm/h"
+    assert measured.drops > 1000 and 0.3 < measured.mean_diameter < 2
+    with pytest.raises(ValueError, match="seconds 0: must be above 0"):
+        gr.measure_rain(gr.Rain(8.5), seconds=0)
+
+
+def test_an_image_is_what_the_command_renders(tmp_path, scene, rain):
+    gr.save(scene, tmp_path / "scene")
+    image = gr.render(gr.load(tmp_path / "scene"), gr.Rain(8.5), size=SIZE, time=2.0, backend="cpu")
+    camera = tmp_path / "camera.json"
+    camera.write_text(str(gr.home_camera(scene, SIZE).to_json()).replace("'", '"'))
+    for suffix in (".png", ".jpg", ".npy"):
+        command, own = tmp_path / f"command{suffix}", tmp_path / "own" / f"image{suffix}"
+        assert not run(["render", str(tmp_path / "scene"), "--camera", str(camera), "--rain", "8.5", "--time", "2",
+                        "--backend", "cpu", "-o", str(command)])  # fmt: skip
+        image.save(own)
+        assert own.read_bytes() == command.read_bytes()
+
+
+def test_an_image_in_every_form(tmp_path, scene, rain):
+    image = gr.render(scene, rain, size=SIZE, time=2.0, backend="cpu")
+    assert image.rgb.shape == (64, 96, 3) and image.rgb.dtype == np.uint8 and (image.width, image.height) == SIZE
+    assert image.linear.dtype == np.float32
+    assert np.abs(linear_to_srgb(image.linear) * 255 - image.rgb).max() <= 0.51
+    assert image.alpha.max() == pytest.approx(1, abs=0.01) and 30 < image.depth.max() < 130
+    assert np.array_equal(np.asarray(image), image.rgb) and np.asarray(image, np.float32).dtype == np.float32
+    with Image.open(BytesIO(image._repr_png_())) as shown:
+        assert np.array_equal(np.asarray(shown), image.rgb)
+    assert repr(image) == "<gsrain.Image 96 x 64, with depth>"
+    flat = gr.render(scene, rain, size=SIZE, depth=False, backend="cpu")
+    with pytest.raises(ValueError, match="depth=True"):
+        flat.depth  # noqa: B018
+    with pytest.raises(ValueError, match=r"clip\.mp4: expected the name of an image"):
+        image.save(tmp_path / "clip.mp4")
+
+
+def test_a_camera_can_be_given_or_a_path(scene):
+    camera, path = gr.home_camera(scene, SIZE), gr.CameraPath.orbit(scene, seconds=6)
+    own = gr.render(scene, camera=camera, backend="cpu")
+    assert np.array_equal(own.rgb, gr.render(scene, size=SIZE, backend="cpu").rgb)
+    assert gr.render(scene, camera=camera, size=(48, 32), backend="cpu").rgb.shape == (32, 48, 3)
+    middle = gr.render(scene, camera=path, size=SIZE, time=3.0, backend="cpu")
+    assert np.abs(middle.rgb.astype(float) - own.rgb).mean() < 1  # an orbit passes its home camera
+    with pytest.raises(ValueError, match=r">= 1 - at `size\[0\]`"):
+        gr.render(scene, size=(0, 64))
+
+
+def test_paths_of_a_scene(tmp_path, scene):
+    tilted = replace(scene, up=(0.0, -1.0, 0.0), metres_per_unit=2.0)
+    path = gr.CameraPath.orbit(tilted, seconds=6, degrees=90)
+    assert (path.start_s, path.end_s) == (0.0, 6.0) and isinstance(path, gr.CameraPath)
+    path.save(tmp_path / "path.json", tilted)
+    assert gr.CameraPath.read(tmp_path / "path.json", tilted).positions == pytest.approx(path.positions)
+    assert gr.CameraPath.default(scene).end_s == 5.0  # the ego vehicle's drive
+    with pytest.raises(ValueError, match="above 0 s"):
+        gr.CameraPath.orbit(scene, seconds=0)
+
+
+def test_frames_are_those_of_the_video(tmp_path, scene, rain):
+    path = gr.CameraPath.orbit(scene, seconds=1)
+    steps = []
+    folder = gr.render_video(scene, rain, path, tmp_path / "frames", size=SIZE, fps=4, clear_pair=True,
+                             progress=steps.append, backend="cpu")  # fmt: skip
+    frames = list(gr.frames(scene, rain, path, size=SIZE, fps=4, depth=True, backend="cpu"))
+    written = [np.asarray(Image.open(each)) for each in sorted(folder.glob("*.png"))]
+    assert len(written) == len(frames) == 4 and steps[-1].fraction == 1
+    assert all(np.array_equal(each, frame.rgb) for each, frame in zip(written, frames, strict=True))
+    assert frames[0].depth.shape == (64, 96)
+    assert len(list((tmp_path / "frames.clear").glob("*.png"))) == 4
+    video = gr.render_video(scene, None, None, tmp_path / "dry.mp4", size=SIZE, fps=2, end=1.0, backend="cpu")
+    with av.open(str(video)) as file:
+        assert len(list(file.decode(video=0))) == 2
+    with pytest.raises(ValueError, match="even width"):
+        gr.render_video(scene, rain, path, tmp_path / "odd.mp4", size=(97, 64))
+    with pytest.raises(ValueError, match="end must be above start"):
+        gr.frames(scene, rain, path, start=2.0, end=1.0)
+
+
+def test_a_renderer_is_used_by_threads_and_then_closed(scene, rain):
+    found = []
+    with gr.Renderer("cpu") as renderer:
+        work = [threading.Thread(target=lambda: found.append(renderer.render(scene, rain, size=SIZE).rgb))] * 1
+        work += [threading.Thread(target=lambda: found.append(next(renderer.frames(scene, rain, size=SIZE)).rgb))]
+        for each in work:
+            each.start()
+        for each in work:
+            each.join()
+        frames = renderer.frames(scene, rain, size=SIZE)
+        assert repr(renderer) == "<gsrain.Renderer cpu>"
+    assert len(found) == 2
+    for use in (lambda: renderer.render(scene), lambda: next(frames)):
+        with pytest.raises(ValueError, match="closed"):
+            use()
+
+
+def test_wet_colors(tmp_path, scene):
+    steps = []
+    wet = gr.wet(scene, views=2, seed=3, progress=steps.append)
+    assert wet.has_wet_colors and not scene.has_wet_colors and steps[-1].fraction == 1
+    for given, message in (
+        ({"method": "fog"}, "no transfer method 'fog'"),
+        ({"method": "images"}, "needs the argument images="),
+        ({"weights": tmp_path / "none.pkl"}, r"weights .*none\.pkl: no such file"),
+        ({"sed": 3}, "did you mean `seed`"),
+        ({"views": 0}, ">= 1"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            gr.wet(scene, **given)
+
+
+def test_a_capture(tmp_path):
+    with pytest.raises((gr.CaptureError, OSError, ValueError), match="nothing"):
+        gr.capture(tmp_path / "nothing")
+
+
+def test_a_drive(tmp_path, scene):
+    run = gr.drive(scene, gr.Rain(5), agent="constant-velocity")
+    assert run.metrics.intensity_mm_h == 5 and run.metrics.collided is run.metrics.collision
+    run.save(tmp_path / "run.jsonl")
+    assert gr.read_rollout(tmp_path / "run.jsonl") == run.rollout
+    with pytest.raises(ValueError, match="no roll-out"):
+        run._replace(rollout=None).save(tmp_path / "none.jsonl")
+    with pytest.raises(ValueError, match="agent nobody"):
+        gr.drive(scene, agent="nobody")
+    with pytest.raises(ValueError, match="drive"):
+        gr.drive(replace(scene, ego=None))

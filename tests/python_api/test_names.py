@@ -1,0 +1,70 @@
+"""`import gsrain as gr`: its names, what importing it loads, and the page about them."""
+
+import ast
+import importlib.util
+import inspect
+import subprocess
+import sys
+
+import pytest
+from PIL import Image
+
+import gsrain as gr
+from extension_package import titled_blocks
+from gsrain_engine.scene.formats import write_scene
+from repository import REPOSITORY
+from small_scene import small_scene
+
+STUB = REPOSITORY / "gsrain" / "__init__.pyi"
+HEAVY = ["numba", "numpy", "scipy", "torch", "imgui_bundle", "glfw", "moderngl", "cv2", "av", "matplotlib", "msgspec"]
+
+
+def test_importing_it_loads_nothing_heavy():
+    script = f"import sys, gsrain; print(sorted(set(sys.modules) & {set(HEAVY)}), len(dir(gsrain)))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout == f"[] {len(gr.__all__)}\n"
+
+
+def test_no_name_loads_torch_or_a_window():
+    script = (
+        f"import sys, gsrain as gr; [getattr(gr, n) for n in dir(gr)]; print(sorted(set(sys.modules) & {set(HEAVY)}))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert not {"torch", "imgui_bundle", "glfw"} & set(ast.literal_eval(done.stdout))
+
+
+def test_every_name_of_the_stub_is_there_and_documented():
+    names = [each.name for node in ast.parse(STUB.read_text()).body for each in node.names]
+    assert sorted(names) == sorted(gr.__all__) == dir(gr) and 30 <= len(names) <= 45
+    for name in names:
+        assert inspect.getdoc(getattr(gr, name)), name
+    with pytest.raises(AttributeError, match="gsrain"):
+        gr.open_scene  # noqa: B018
+
+
+def test_it_is_thin():
+    files = sorted((REPOSITORY / "gsrain").glob("*.py"))
+    assert len(files) >= 3 and sum(len(each.read_text().splitlines()) for each in files) < 1500
+
+
+@pytest.fixture(scope="module")
+def page():
+    spec = importlib.util.spec_from_file_location("api_page", REPOSITORY / "docs" / "api_page.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_page_says_what_the_docstrings_say(page):
+    assert page.written_tables() == page.tables(), "python -m docs.api_page writes it anew"
+    assert "|  |" not in page.tables()
+    assert all(f"`{name}" in page.tables() for name in gr.__all__)
+
+
+def test_the_first_program_of_the_page_makes_an_image(tmp_path, monkeypatch):
+    write_scene(small_scene(), tmp_path / "street")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("gsrain.scenes.QUICK_VIEWS", 2)
+    exec(compile(titled_blocks(REPOSITORY / "docs" / "python.md")["rain.py"], "rain.py", "exec"), {})
+    with Image.open("rain.png") as picture:
+        assert picture.size == (960, 640) and len(picture.getcolors(2**20) or []) > 100
