@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 import scipy
@@ -59,7 +58,7 @@ class CameraPath:
             raise ValueError("a camera path needs at least one keyframe, with rising times")
 
     @classmethod
-    def through(cls, times_s: Sequence[float], cameras: Sequence[Camera]) -> Self:
+    def through(cls, times_s: Sequence[float], cameras: Sequence[Camera]) -> "CameraPath":
         """Fly through cameras at moments, in seconds, which rise; the exposure is the first one's.
 
         Raises ValueError where there is no camera, there are not as many moments, or they don't rise.
@@ -121,7 +120,7 @@ class CameraPath:
             return np.repeat(matrices_from_quaternions(self.quaternions_wxyz), len(times_s), axis=0)
         return self._curves.rotations(self._at(times_s).times_s).as_matrix()
 
-    def moved(self, similarity: Float64[np.ndarray, "4 4"]) -> Self:
+    def moved(self, similarity: Float64[np.ndarray, "4 4"]) -> "CameraPath":
         """Return the path in a world that was moved, turned and scaled (scene units to metres, say)."""
         turn = similarity[:3, :3] / np.cbrt(np.linalg.det(similarity[:3, :3]))
         return replace(
