@@ -1,5 +1,6 @@
 """Cameras and camera paths of a scene's world: meters, z up. A camera looks along its own z axis, y down (OpenCV)."""
 
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 
@@ -24,6 +25,14 @@ def home_camera(scene: Scene, size: tuple[int, int] = DEFAULT_SIZE_PX) -> Camera
 
 class CameraPath(camera_path.CameraPath):
     """Keyframes of a camera in time, with smooth curves between them: positions in meters, times in seconds."""
+
+    @classmethod
+    def through(cls, times_s: Sequence[float], cameras: Sequence[Camera]) -> "CameraPath":
+        """Fly through cameras at rising times in seconds; the exposure is the first one's.
+
+        Raises `ValueError` without a camera, and where the times are not as many or don't rise.
+        """
+        return cls._of(super().through(times_s, cameras))
 
     @classmethod
     def orbit(cls, scene: Scene, seconds: float = views.ORBIT_S, degrees: float = views.ORBIT_DEG) -> "CameraPath":
