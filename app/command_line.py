@@ -113,7 +113,6 @@ app.command(evaluations)
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command; returns the exit code."""
     use_any_encoding()
     logging.basicConfig(level=logging.WARNING, handlers=[console_log()])
     for name in _OURS:  # libraries say what is of use to their makers: which fonts they have found, say

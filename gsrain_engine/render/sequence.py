@@ -64,11 +64,9 @@ class FrameSequence:
                 return self.camera.end_s - self.start_s
 
     def shot(self, number: int) -> Shot:
-        """Camera and moment of a frame."""
         return self.shot_at(self.time_s(number))
 
     def shot_at(self, time_s: float) -> Shot:
-        """Camera at a moment."""
         match self.camera:
             case Camera():
                 return Shot(self.camera, time_s)

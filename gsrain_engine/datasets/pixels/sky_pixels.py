@@ -178,7 +178,6 @@ class _Rest(NamedTuple):
 
     @classmethod
     def of(cls, lab: Float32[np.ndarray, "n 3"]) -> "_Rest":
-        """Tell it from its colours."""
         if not len(lab):
             return cls(0.0, 0.0)
         return cls(float(np.quantile(lab[:, 0], 0.9)), min(float(np.median(lab[:, 2])), 0.0))

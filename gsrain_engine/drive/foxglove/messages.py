@@ -34,7 +34,6 @@ def stamp(time_s: float) -> Message:
 
 
 def nanoseconds_of(time_s: float) -> int:
-    """Return a time in whole nanoseconds."""
     return round(time_s * 1e9)
 
 
@@ -95,7 +94,6 @@ def route_update(step: RolloutStep, points: Float64[np.ndarray, "n 2"]) -> Messa
 
 
 def log_message(time_s: float, level: int, text: str) -> Message:
-    """Return a line of the log."""
     return {"timestamp": stamp(time_s), "level": level, "message": text, "name": "gsrain", "file": "", "line": 0}
 
 

@@ -52,7 +52,6 @@ class Untouched:
     name = CLEAR
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
-        """Pass views on, one by one."""
         for view in views:
             yield RainyView(view, view.image)
 

@@ -104,7 +104,6 @@ def decode_names() -> tuple[str, ...]:
 
 
 def description_names() -> list[str]:
-    """Names of the shipped descriptions."""
     return shipped_names(_FOLDER)
 
 

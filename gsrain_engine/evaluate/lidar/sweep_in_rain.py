@@ -57,7 +57,6 @@ class SweepInRain:
 
     @property
     def false_ranges_m(self) -> Float64[np.ndarray, " k"]:
-        """Ranges of the false returns."""
         return np.linalg.norm(self.sweep.points_m[self.is_false].astype(np.float64) - self.sweep.origin_m, axis=1)
 
 

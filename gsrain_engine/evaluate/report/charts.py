@@ -78,7 +78,6 @@ def _decade_ticks(low: float, high: float) -> list[float]:
 
 
 def number(value: float) -> str:
-    """Return a number in a few characters."""
     if value != 0 and abs(value) < 1e-3:
         return f"{value:.1e}".replace("e-0", "e-")
     if abs(value) >= 1e6:

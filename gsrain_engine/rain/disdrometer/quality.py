@@ -43,7 +43,6 @@ class QualityReport:
 
     @property
     def lines(self) -> list[str]:
-        """The report as text, one mask a line."""
         drops = f"{self.drops_kept:.0f} of {self.drops:.0f} drops"
         records = f"{self.records_kept} of {self.records} records"
         return [f"{drops} and {records} are kept", *(_line(mask) for mask in self.masks)]

@@ -96,7 +96,6 @@ class AdaptiveDensity:
         return done or None
 
     def regularization(self, parameters: SplatParameters) -> Tensor | None:
-        """Nothing is added to the loss."""
         return None
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:

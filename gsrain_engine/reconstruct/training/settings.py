@@ -160,5 +160,4 @@ def help_of(name: str) -> str:
 
 
 def settings_names() -> list[str]:
-    """Names of the shipped settings."""
     return shipped_names(_FOLDER)

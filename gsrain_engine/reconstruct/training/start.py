@@ -74,7 +74,6 @@ class OwnBody:
 
     @property
     def line(self) -> str:
-        """The record in one line, for people."""
         if not self.searched:
             return f"not looked for ({self.reason})"
         found = [f"{name or 'the camera'} {100 * share:.0f} %" for name, share in self.shares.items()]

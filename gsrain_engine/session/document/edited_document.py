@@ -29,17 +29,14 @@ class EditedDocument:
         """A gesture that goes on, and the time at which it sets its keys."""
 
     def _follow_document(self) -> None:
-        """Go along with another document."""
         raise NotImplementedError
 
     @property
     def scene(self) -> Scene:
-        """The scene as it is now."""
         return self.history.present.scene
 
     @property
     def rain(self) -> Rain:
-        """The rain as it is now."""
         return self.history.present.rain
 
     def change_rain(self, label: str, gesture: str | None = None, **fields: object) -> None:
@@ -105,12 +102,10 @@ class EditedDocument:
         self.history.end_gesture()
 
     def undo(self) -> None:
-        """Step back."""
         self.history.undo()
         self._follow_document()
 
     def redo(self) -> None:
-        """Step forward."""
         self.history.redo()
         self._follow_document()
 

@@ -91,5 +91,4 @@ def checked(preferences: Preferences) -> Preferences:
 
 
 def preferences_file() -> Path:
-    """Where they are kept."""
     return config_folder() / "preferences.yaml"
