@@ -52,10 +52,6 @@ class EditedDocument:
         weather = self.weather.with_key(at_s, **keyed) if keyed else self.weather
         self._go_to_rain(label, rain, weather, gesture)
 
-    def set_rain(self, label: str, rain: Rain, gesture: str | None = None) -> None:
-        """Go to another rain; drops in the air go on from where they are. Fields with keys go on from those."""
-        self._go_to_rain(label, rain, self.weather, gesture)
-
     @property
     def weather(self) -> Weather:
         """How the rain changes over time."""
