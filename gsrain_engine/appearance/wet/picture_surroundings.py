@@ -36,7 +36,6 @@ class PictureSurroundings:
         self._recent_ground = lru_cache(maxsize=2)(_ground)
 
     def ground(self, view: ClearView) -> Ground | None:
-        """Find the ground in a view by its depth; None where it shows none."""
         return self._recent_ground(view)
 
     def mirrored(self, view: ClearView, ground: Ground) -> Mirrored:

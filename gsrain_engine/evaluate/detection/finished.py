@@ -85,7 +85,6 @@ class Finished:
         return len(self._known)
 
     def known(self, detector: str, frame: JudgedFrame, trial: Trial) -> Judgement | None:
-        """The judgement of a picture, if it was made before."""
         found = self._known.get(_picture(self._key(detector, frame), trial))
         return None if found is None else replace(found, trial=trial)
 

@@ -114,7 +114,6 @@ class ClearedDensity:
         return self._control.state()
 
     def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
-        """Go back to what `state` returned."""
         self._control.restore(state)
 
 

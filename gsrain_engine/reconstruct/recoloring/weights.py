@@ -71,7 +71,6 @@ class StoredWeights:
         return self._by_splat(by_pair)
 
     def squared_sums(self, trust: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, " m"]:
-        """Diagonal of W transposed times trust times W: each splat's evidence."""
         by_pair = np.zeros((len(self.splats), 3), np.float32)
         _squares(self.pair_starts, self.piece_starts, self.places, self.weights, trust, by_pair)
         return self._by_splat(by_pair)[:, 0]
