@@ -76,11 +76,7 @@ gsrain evaluate consistency full no-normals no-attention --sheet ablations.png
 """
 evaluations = App(name="evaluate", help="Compare what is made with what cameras see.")
 evaluations.command("app.commands.evaluate.streaks:streaks", name="streaks", help="Rain streaks: real ones, and ours.")
-evaluations.command(
-    "app.commands.evaluate.consistency:consistency",
-    name="consistency",
-    help=_CONSISTENCY,
-)
+evaluations.command("app.commands.evaluate.consistency:consistency", name="consistency", help=_CONSISTENCY)
 evaluations.command(
     "app.commands.evaluate.fid:fid", name="fid", help="FID and KID of pictures to real ones, with how sure they are."
 )

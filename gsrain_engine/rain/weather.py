@@ -60,8 +60,7 @@ class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     between: Annotated[
         Literal["linear", "smooth"],
         Meta(
-            title="Between keys",
-            description="linear: straight. smooth: rounded, never beyond the keys on either side.",
+            title="Between keys", description="linear: straight. smooth: rounded, never beyond the keys on either side."
         ),
     ] = "linear"
 

@@ -57,12 +57,7 @@ class ProjectionPass:
         self.drops = DropPass(context)
 
     def project(
-        self,
-        store: SplatStore,
-        parts: Sequence[Part],
-        camera: Camera,
-        rain: FallingRain | None,
-        look: Look,
+        self, store: SplatStore, parts: Sequence[Part], camera: Camera, rain: FallingRain | None, look: Look
     ) -> Slots:
         rows = [(part if part.opacity > 0 else part._replace(limit=0), False) for part in parts]
         field = rain.streak_field if rain is not None else None

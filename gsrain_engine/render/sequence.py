@@ -104,13 +104,7 @@ class FrameSequence:
         return replace(frame, depth=alone.depth)
 
     def render(
-        self,
-        renderer: Renderer,
-        numbers: Iterable[int],
-        sky: Sky,
-        *,
-        with_depth: bool = False,
-        look: Look = "splats",
+        self, renderer: Renderer, numbers: Iterable[int], sky: Sky, *, with_depth: bool = False, look: Look = "splats"
     ) -> Iterator[RenderedFrame]:
         """Render frames by their numbers, in any order."""
         for number in numbers:

@@ -325,9 +325,7 @@ def _color_bins(image: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
 
 
 def _likely_colors(
-    bins: Sequence[np.ndarray],
-    guesses: Sequence[Bool[np.ndarray, "_ _"]],
-    above: Sequence[Bool[np.ndarray, "_ _"]],
+    bins: Sequence[np.ndarray], guesses: Sequence[Bool[np.ndarray, "_ _"]], above: Sequence[Bool[np.ndarray, "_ _"]]
 ) -> Bool[np.ndarray, " b"] | None:
     """Which colours are the sky's rather than those of what else is above the horizon; None where no sky was found."""
     count = _BINS**3

@@ -140,10 +140,7 @@ def _road_user(step: RolloutStep, user: UserRecord, model: UserModel) -> Message
         "pose": {"position": above, "orientation": _turn(0.0)}, "billboard": True, "font_size": 0.7,
         "scale_invariant": False, "color": _color((1.0, 1.0, 1.0, 1.0)), "text": user.id,
     }  # fmt: skip
-    about = [
-        {"key": "class", "value": model.class_name},
-        {"key": "speed_m_s", "value": f"{user.speed_m_s:.3f}"},
-    ]
+    about = [{"key": "class", "value": model.class_name}, {"key": "speed_m_s", "value": f"{user.speed_m_s:.3f}"}]
     return {**_entity(step, user.id, WORLD, cubes=[cube], texts=[text]), "metadata": about}
 
 

@@ -109,10 +109,7 @@ def keep_trusted(
 
 
 def _masks(
-    spectra: DropSpectra,
-    smallest_mm: float,
-    tolerance: float,
-    classes: Bool[np.ndarray, "diameters velocities"] | None,
+    spectra: DropSpectra, smallest_mm: float, tolerance: float, classes: Bool[np.ndarray, "diameters velocities"] | None
 ) -> Iterator[_Mask]:
     diameters = np.broadcast_to(spectra.diameters_mm[:, None], spectra.counts.shape[1:])
     yield _Mask("small drops", f"D < {smallest_mm:g} mm", diameters < smallest_mm)

@@ -126,11 +126,7 @@ def start_training(
 
 
 def _model(
-    capture: Capture,
-    settings: TrainingSettings,
-    views: Sequence[View],
-    known: KnownDepth,
-    device: str,
+    capture: Capture, settings: TrainingSettings, views: Sequence[View], known: KnownDepth, device: str
 ) -> SplatModel:
     """First Gaussians of everything, from the views that are learned from."""
     budget = max(round(_INITIAL_SHARE * settings.gaussians), 1)
