@@ -76,11 +76,7 @@ gsrain evaluate consistency full no-normals no-attention --sheet ablations.png
 """
 evaluations = App(name="evaluate", help="Compare what is made with what cameras see.")
 evaluations.command("app.commands.evaluate.streaks:streaks", name="streaks", help="Rain streaks: real ones, and ours.")
-evaluations.command(
-    "app.commands.evaluate.consistency:consistency",
-    name="consistency",
-    help=_CONSISTENCY,
-)
+evaluations.command("app.commands.evaluate.consistency:consistency", name="consistency", help=_CONSISTENCY)
 evaluations.command(
     "app.commands.evaluate.fid:fid", name="fid", help="FID and KID of pictures to real ones, with how sure they are."
 )
@@ -113,7 +109,6 @@ app.command(evaluations)
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command; returns the exit code."""
     use_any_encoding()
     logging.basicConfig(level=logging.WARNING, handlers=[console_log()])
     for name in _OURS:  # libraries say what is of use to their makers: which fonts they have found, say

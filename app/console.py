@@ -59,7 +59,6 @@ def wide_console() -> Console:
 
 
 def bold(text: str) -> Text:
-    """Return a cell in bold letters."""
     return Text(escaped(text), "bold")
 
 
@@ -72,7 +71,6 @@ class WordsColumn(ProgressColumn):
         self._words = words
 
     def render(self, task: Task) -> Text:
-        """Return the words, escaped."""
         return Text(escaped(task.description if self._words is None else self._words))
 
 

@@ -111,7 +111,6 @@ class Window:
         """What kept the program from being loaded, or going on; the window closes over it."""
 
     def parameters(self) -> hello_imgui.RunnerParams:
-        """What hello_imgui needs to run the window."""
         escape_all_text()
         parameters = hello_imgui.RunnerParams()
         parameters.app_window_params.window_title = "GSRAIN"
@@ -175,7 +174,6 @@ class Window:
 
     @property
     def left(self) -> Left:
-        """What a closed window has left for the next one."""
         files = self._session.files if self._session is not None else None
         return Left(files.recovery.kept, files.source) if files is not None else Left()
 

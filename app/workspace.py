@@ -92,7 +92,6 @@ class Workspace:
         self._style = session.preferences
 
     def dockable_windows(self) -> list[hello_imgui.DockableWindow]:
-        """One for each panel."""
         windows: list[hello_imgui.DockableWindow] = []
         panels = all_panels()
         for panel in panels:
@@ -134,15 +133,12 @@ class Workspace:
             hello_imgui.get_runner_params().app_shall_exit = True
 
     def draw_menus(self) -> None:
-        """Draw into the menu bar."""
         draw_menus(self.session)
 
     def draw_status(self) -> None:
-        """Draw into the status bar."""
         status_bar(self.session)
 
     def draw_viewport(self) -> None:
-        """Draw the viewport, and act on keys."""
         if not self.session.view.dialog and self.session.questions.present is None:
             act_on_keys(self.session)
         answer_dialogs(self.session)

@@ -128,7 +128,7 @@ class Photographer:
 def picture_panels(camera: Photographer) -> None:
     """Each panel, in rain, with a job that has ended; but those that have something to show only later."""
     session = camera.session
-    session.set_rain("8.5 mm/h", msgspec.structs.replace(session.rain, intensity_mm_h=8.5))
+    session.change_rain("8.5 mm/h", intensity_mm_h=8.5)
     session.view.member = "layers/houses"
     session.lab.measure(session.rain)
     session.rainy.make(session)
@@ -214,7 +214,7 @@ def picture_wet(camera: Photographer) -> None:
     session.view.split = "off"
     camera.frames()
     camera.ctx.mouse_move("//View/view")
-    session.set_rain("12 mm/h", msgspec.structs.replace(session.rain, intensity_mm_h=12.0))
+    session.change_rain("12 mm/h", intensity_mm_h=12.0)
     session.rainy.make(session)
     while session.running_jobs or session.staged is not None:
         camera.frames(1)

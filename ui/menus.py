@@ -13,7 +13,6 @@ MENUS = ("File", "Edit", "Select", "Scene", "Rain", "Drive", "Timeline", "View",
 
 
 def draw_menus(session: Session) -> None:
-    """Draw the menus into the menu bar."""
     for title in MENUS:
         if imgui.begin_menu(title):
             groups = [[action for action in group if action.menu == title] for group in ACTION_GROUPS]
@@ -51,7 +50,6 @@ def _recent(session: Session) -> None:
 
 
 def _panels() -> None:
-    """Say which panels are shown."""
     if imgui.begin_menu("Panels"):
         for window in panel_windows():
             clicked, window.is_visible = imgui.menu_item(window.label, "", window.is_visible)

@@ -2,11 +2,7 @@
 
 from imgui_bundle import imgui
 
-_MODIFIERS = (
-    (imgui.Key.mod_ctrl, "Ctrl"),
-    (imgui.Key.mod_shift, "Shift"),
-    (imgui.Key.mod_alt, "Alt"),
-)
+_MODIFIERS = ((imgui.Key.mod_ctrl, "Ctrl"), (imgui.Key.mod_shift, "Shift"), (imgui.Key.mod_alt, "Alt"))
 _WORDS = {
     "LeftBracket": "[", "RightBracket": "]", "Comma": ",", "Period": ".", "LeftArrow": "Left", "RightArrow": "Right",
     "UpArrow": "Up", "DownArrow": "Down", "Escape": "Esc", "Slash": "/", "Minus": "-", "Equal": "=",

@@ -3,7 +3,6 @@
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 from typing import Annotated, Any
@@ -24,28 +23,10 @@ WRITTEN = ("", ".ply", ".splat", ".spz")
 """What scenes can be saved as; "" is a scene folder."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoadingTimes:
-    """What one format took."""
-
-    scene: str
-    format: str
-    """The suffix; of a scene folder the word folder."""
-    gaussians: int
-    sh_degree: int
-    """Of what was read back: formats without harmonics have 0."""
-    megabytes: float
-    write_ms: float
-    read_ms_median: float
-    read_ms_min: float
-    bytes_ms_min: float
-    """For the files' bytes alone, from the same cache: the least that any reader can take."""
-    ns_per_gaussian: float
-    """Median reading over Gaussians."""
-
-
-def time_loading(scene: Scene, suffix: str, folder: Path, repeats: int) -> LoadingTimes:
+def time_loading(scene: Scene, suffix: str, folder: Path, repeats: int) -> dict[str, Any]:
     """Write a scene into an empty folder once, and read it back several times, from the system's cache.
+
+    `bytes_ms_min` is for the files' bytes alone, from the same cache: the least that any reader can take.
 
     Raises `SceneFormatError` for a suffix that can't be written.
     """
@@ -54,18 +35,18 @@ def time_loading(scene: Scene, suffix: str, folder: Path, repeats: int) -> Loadi
     files = [file for file in folder.rglob("*") if file.is_file()]
     back = read_scene(path)  # kernels are loaded, and the files are in the cache
     reads = [_ms(lambda: read_scene(path)) for _ in range(repeats)]
-    return LoadingTimes(
-        scene=scene.name,
-        format=suffix or "folder",
-        gaussians=back.gaussian_count,
-        sh_degree=max((member.gaussians.sh_degree for member in back.members), default=0),
-        megabytes=sum(file.stat().st_size for file in files) / 1e6,
-        write_ms=write_ms,
-        read_ms_median=median(reads),
-        read_ms_min=min(reads),
-        bytes_ms_min=min(_ms(lambda: [file.read_bytes() for file in files]) for _ in range(repeats)),
-        ns_per_gaussian=1e6 * median(reads) / max(back.gaussian_count, 1),
-    )
+    return {
+        "scene": scene.name,
+        "format": suffix or "folder",
+        "gaussians": back.gaussian_count,
+        "sh_degree": max((member.gaussians.sh_degree for member in back.members), default=0),
+        "megabytes": sum(file.stat().st_size for file in files) / 1e6,
+        "write_ms": write_ms,
+        "read_ms_median": median(reads),
+        "read_ms_min": min(reads),
+        "bytes_ms_min": min(_ms(lambda: [file.read_bytes() for file in files]) for _ in range(repeats)),
+        "ns_per_gaussian": 1e6 * median(reads) / max(back.gaussian_count, 1),
+    }
 
 
 def _ms(work: Callable[[], object]) -> float:
@@ -94,7 +75,7 @@ def loading(
     if not 1 <= repeats <= 1000:
         raise ValueError(f"--repeats {repeats}: must be within 1..1000")
     suffixes = [_suffix(each) for each in listed("--formats", formats)]
-    rows: list[LoadingTimes] = []
+    rows: list[dict[str, Any]] = []
     for name in listed("--scenes", scenes):
         scene = timed_scene(name)
         with progress_bar(f"Timing {scene.name}", len(suffixes)) as advance:
@@ -103,7 +84,7 @@ def loading(
                     rows.append(time_loading(scene, suffix, Path(folder), repeats))
                 advance()
     _print(rows, Console(file=words_go_to(json), width=100))
-    numbers = {"rows": [asdict(row) for row in rows], "machine": machine()}
+    numbers = {"rows": rows, "machine": machine()}
     write_numbers(json, numbers)
     return numbers
 
@@ -115,20 +96,20 @@ def _suffix(word: str) -> str:
     return suffix
 
 
-def _print(rows: list[LoadingTimes], console: Console) -> None:
+def _print(rows: list[dict[str, Any]], console: Console) -> None:
     table = Table(
         "scene", "format", "Gaussians", "SH", "MB", "write ms", "read ms", "bytes ms", "ns/Gaussian", box=None
     )
     for row in rows:
         table.add_row(
-            row.scene,
-            row.format,
-            f"{row.gaussians:,}",
-            str(row.sh_degree),
-            f"{row.megabytes:.1f}",
-            f"{row.write_ms:.0f}",
-            f"{row.read_ms_median:.1f}",
-            f"{row.bytes_ms_min:.1f}",
-            f"{row.ns_per_gaussian:.0f}",
+            row["scene"],
+            row["format"],
+            f"{row['gaussians']:,}",
+            str(row["sh_degree"]),
+            f"{row['megabytes']:.1f}",
+            f"{row['write_ms']:.0f}",
+            f"{row['read_ms_median']:.1f}",
+            f"{row['bytes_ms_min']:.1f}",
+            f"{row['ns_per_gaussian']:.0f}",
         )
     console.print(table)

@@ -1,7 +1,6 @@
 """`gsrain bench recoloring`: how fast this machine gives scenes the colours of pictures."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
 import msgspec
@@ -34,35 +33,11 @@ _HALF_HEIGHT = 0.5
 _WET_SHARE = 0.6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecoloringTimes:
-    """What one recolouring took."""
-
-    scene: str
-    gaussians: int
-    seen: int
-    """Gaussians that some view shows: the unknowns are their harmonics."""
-    views: int
-    width: int
-    height: int
-    iterations: int
-    seconds: float
-    stages_s: dict[str, float]
-    """Set-up (looking from every view), choosing (how far to trust), solving, measuring."""
-    iteration_ms: float
-    """Solving over iterations: one forward and one transposed pass over all views."""
-    weights_mb: float
-    """Memory of all views' blending weights."""
-    psnr_before_db: float
-    """Mean over the views, of the clear scene against the pictures."""
-    psnr_db: float
-    """And of the recoloured one."""
-
-
-def time_recoloring(
-    scene: Scene, cameras: Sequence[tuple[float, Camera]], settings: RecolorSettings
-) -> RecoloringTimes:
+def time_recoloring(scene: Scene, cameras: Sequence[tuple[float, Camera]], settings: RecolorSettings) -> dict[str, Any]:
     """Recolour a scene to darkened pictures of itself; cameras are in the world (metres), each with its moment in s.
+
+    Stages are setup (looking from every view), choosing (how far to trust), solving and measuring. An iteration is one
+    forward and one transposed pass over all views; PSNR is the mean over the views against the pictures.
 
     Raises ValueError where no camera sees anything of the scene.
     """
@@ -71,21 +46,21 @@ def time_recoloring(
         renderer.draw(scene.parts(time_s), camera)
         targets.append(TargetView(f"view {number}", camera, time_s, darkened(renderer.read().rgba[..., :3])))
     recolored = finished(recolor_scene(scene, targets, (), settings))
-    return RecoloringTimes(
-        scene=scene.name,
-        gaussians=scene.gaussian_count,
-        seen=len(recolored.setup.problem.rows),
-        views=len(targets),
-        width=targets[0].camera.width,
-        height=targets[0].camera.height,
-        iterations=len(recolored.lengths),
-        seconds=sum(recolored.seconds.values()),
-        stages_s=dict(recolored.seconds),
-        iteration_ms=1000 * recolored.seconds["solving"] / max(len(recolored.lengths), 1),
-        weights_mb=recolored.weights_mb,
-        psnr_before_db=float(np.mean([view.psnr_clear_db for view in recolored.views])),
-        psnr_db=float(np.mean([view.psnr_db for view in recolored.views])),
-    )
+    return {
+        "scene": scene.name,
+        "gaussians": scene.gaussian_count,
+        "seen": len(recolored.setup.problem.rows),
+        "views": len(targets),
+        "width": targets[0].camera.width,
+        "height": targets[0].camera.height,
+        "iterations": len(recolored.lengths),
+        "seconds": sum(recolored.seconds.values()),
+        "stages_s": dict(recolored.seconds),
+        "iteration_ms": 1000 * recolored.seconds["solving"] / max(len(recolored.lengths), 1),
+        "weights_mb": recolored.weights_mb,
+        "psnr_before_db": float(np.mean([view.psnr_clear_db for view in recolored.views])),
+        "psnr_db": float(np.mean([view.psnr_db for view in recolored.views])),
+    }
 
 
 def darkened(picture: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
@@ -116,14 +91,14 @@ def recoloring(
     except msgspec.ValidationError as error:
         raise ValueError(f"--iterations {iterations}: {error}") from None
     names = listed("--scenes", scenes)
-    rows: list[RecoloringTimes] = []
+    rows: list[dict[str, Any]] = []
     with progress_bar("Recolouring", len(names)) as advance:
         for name in names:
             scene = timed_scene(name)
             rows.append(time_recoloring(scene, _cameras(scene, views, width, height), settings))
             advance()
     _print(rows, Console(file=words_go_to(json), width=120))
-    numbers = {"rows": [asdict(row) for row in rows], "machine": machine()}
+    numbers = {"rows": rows, "machine": machine()}
     write_numbers(json, numbers)
     return numbers
 
@@ -137,8 +112,8 @@ def _cameras(scene: Scene, count: int, width: int, height: int) -> list[tuple[fl
     return [(time_s, path.camera(time_s, width, height)) for time_s in times]
 
 
-def _print(rows: list[RecoloringTimes], console: Console) -> None:
-    stages = list(dict.fromkeys(stage for row in rows for stage in row.stages_s))
+def _print(rows: list[dict[str, Any]], console: Console) -> None:
+    stages = list(dict.fromkeys(stage for row in rows for stage in row["stages_s"]))
     columns = (
         "scene",
         "Gaussians",
@@ -153,14 +128,14 @@ def _print(rows: list[RecoloringTimes], console: Console) -> None:
     table = Table(*columns, box=None)
     for row in rows:
         table.add_row(
-            row.scene,
-            f"{row.gaussians:,}",
-            f"{row.seen:,}",
-            str(row.views),
-            f"{row.width}x{row.height}",
-            *(f"{row.stages_s[stage]:.2f}" for stage in stages),
-            f"{row.iteration_ms:.0f}",
-            f"{row.psnr_before_db:.1f}",
-            f"{row.psnr_db:.1f}",
+            row["scene"],
+            f"{row['gaussians']:,}",
+            f"{row['seen']:,}",
+            str(row["views"]),
+            f"{row['width']}x{row['height']}",
+            *(f"{row['stages_s'][stage]:.2f}" for stage in stages),
+            f"{row['iteration_ms']:.0f}",
+            f"{row['psnr_before_db']:.1f}",
+            f"{row['psnr_db']:.1f}",
         )
     console.print(table)

@@ -288,12 +288,7 @@ def find_base_model() -> Finding:
 
 def find_text_encoder() -> Finding:
     """Look for what makes captions into numbers; needed once, for what it said is kept."""
-    from gsrain_engine.appearance.cyclegan_turbo.places import (
-        base_places,
-        captions_file,
-        is_base,
-        text_encoder_folder,
-    )
+    from gsrain_engine.appearance.cyclegan_turbo.places import base_places, captions_file, is_base, text_encoder_folder
 
     def place() -> str:
         if captions_file().is_file():

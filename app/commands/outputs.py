@@ -84,14 +84,9 @@ def check_ending(option: str, path: Path | None, endings: Sequence[str]) -> None
         raise ValueError(f"{option} {path}: expected a name that ends in {_listed(endings)}")
 
 
-def check_report(option: str, path: Path | None) -> None:
-    """Raise ValueError for a page of a run that is not called .html; None is passed by."""
-    check_ending(option, path, PAGES)
-
-
 def check_page(report: Path | None, json: Path | None, *files: Path | None) -> None:
     """Check a page of a run, and its numbers, which go to a file of its name where `json` names none, with `files`."""
-    check_report("--report", report)
+    check_ending("--report", report, PAGES)
     numbers = report.with_suffix(".json") if report is not None and json is None else json
     check_writable(report, numbers, *files)
 
@@ -110,7 +105,7 @@ def check_picture(option: str, path: Path | None) -> None:
 
 def report_beside(output: Path, report: Path | None) -> Path:
     """Return where the report of a run goes: as asked for, else beside its scene."""
-    check_report("--report", report)
+    check_ending("--report", report, PAGES)
     return report or output.with_name(f"{shortened(output.name)}.report.html")
 
 

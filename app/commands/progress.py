@@ -46,13 +46,7 @@ def progress_bar(title: str, total: float, *, draws: bool = False) -> Generator[
 
 def followed(work: Generator[Step, None, _Result]) -> _Result:
     """Do a piece of work, show how far it is and what it does, and return what comes out."""
-    columns = [
-        WordsColumn(),
-        BarColumn(),
-        TimeElapsedColumn(),
-        WordsColumn("ETA"),
-        TimeRemainingColumn(),
-    ]
+    columns = [WordsColumn(), BarColumn(), TimeElapsedColumn(), WordsColumn("ETA"), TimeRemainingColumn()]
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         shown = bar.add_task("Reading", total=1.0)

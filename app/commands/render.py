@@ -124,11 +124,7 @@ def render(
 
 
 def _record(
-    renderer: Renderer,
-    recording: Recording,
-    sequences: Mapping[str, FrameSequence],
-    numbers: Sequence[int],
-    look: Look,
+    renderer: Renderer, recording: Recording, sequences: Mapping[str, FrameSequence], numbers: Sequence[int], look: Look
 ) -> dict[str, Any]:
     """Record frames; Ctrl-C ends it early and leaves what is there."""
     started, done = time.perf_counter(), 0

@@ -7,11 +7,7 @@ from typing import Any
 from ..console import Console, Table
 
 _COLUMNS = 160
-_SHOWN = {
-    "min_ttc_s": "min TTC (s)",
-    "planned_point_collision_rate": "C (points)",
-    "comfort_executed": "S (driven)",
-}
+_SHOWN = {"min_ttc_s": "min TTC (s)", "planned_point_collision_rate": "C (points)", "comfort_executed": "S (driven)"}
 
 
 def print_cells(cells: Sequence[Mapping[str, Any]]) -> None:

@@ -22,13 +22,11 @@ class BeforeAndAfter:
         self._rows: list[tuple[str, list[UInt8[np.ndarray, "_ _ 3"]]]] = []
 
     def add(self, view: RainyView) -> None:
-        """Take the next view."""
         if self._seen in self._wanted:
             self._rows.append((view.clear.name, [self._sized(view.clear.image), self._sized(view.image)]))
         self._seen += 1
 
     def picture(self) -> Image.Image:
-        """Draw what has come so far."""
         heights = [_LINE_PX + max(each.shape[0] for each in pictures) + _MARGIN_PX for _, pictures in self._rows]
         sheet = Image.new("RGB", (2 * self._width + 3 * _MARGIN_PX, sum(heights) + _MARGIN_PX), _PAPER)
         pen, top = ImageDraw.Draw(sheet), _MARGIN_PX

@@ -31,7 +31,6 @@ class LeftOut:
         self._views, self._reasons = 0, Counter[str]()
 
     def add(self, view: RainyView) -> None:
-        """Count a view."""
         self._views += 1
         if view.left_out:
             self._reasons[view.left_out] += 1

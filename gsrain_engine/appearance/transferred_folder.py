@@ -84,7 +84,6 @@ def write_transferred(
 
 
 def is_transferred_folder(folder: Path) -> bool:
-    """Whether a transfer has written a folder."""
     return (folder / TRANSFER).is_file()
 
 

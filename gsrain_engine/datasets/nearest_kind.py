@@ -46,8 +46,7 @@ _KINDS = (
             _Part("image_02", tuple(f"{d}image_0[0-3]/data" for d in _DRIVES)),
             _Part("oxts", tuple(f"{d}oxts/data" for d in _DRIVES)),
             _Part(
-                "calib_cam_to_cam.txt",
-                ("calib_cam_to_cam.txt", "*/calib_cam_to_cam.txt", "../calib_cam_to_cam.txt"),
+                "calib_cam_to_cam.txt", ("calib_cam_to_cam.txt", "*/calib_cam_to_cam.txt", "../calib_cam_to_cam.txt")
             ),
         ),
     ),

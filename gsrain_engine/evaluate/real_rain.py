@@ -65,11 +65,7 @@ def evenly_chosen(sequence: RainSequence, count: int, most_apart_s: float = 0.2)
 
 
 def compare(
-    sequence: RainSequence,
-    rain: Rain,
-    exposures_s: Sequence[float],
-    numbers: Sequence[int],
-    window: Window,
+    sequence: RainSequence, rain: Rain, exposures_s: Sequence[float], numbers: Sequence[int], window: Window
 ) -> Comparison:
     """Measure some frames of a sequence, and our rain at each exposure in front of their temporal median.
 

@@ -109,5 +109,4 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
 
 
 def calibration_names() -> list[str]:
-    """Names of the shipped calibrations."""
     return shipped_names(_FOLDER)

@@ -33,12 +33,10 @@ class CountedDrops:
 
     @property
     def drops(self) -> int:
-        """All drops together."""
         return int(self.counts.sum())
 
     @property
     def seconds(self) -> Float64[np.ndarray, " records"]:
-        """Length of each record."""
         return np.diff(self.times_s)
 
     @property
@@ -56,7 +54,6 @@ class CountedDrops:
 
     @property
     def record_rates_mm_h(self) -> Float64[np.ndarray, " records"]:
-        """Rain rate of each record."""
         return self.counts @ self._rate_of_one_mm_h * float(self.seconds.sum()) / self.seconds
 
     @property
@@ -68,7 +65,6 @@ class CountedDrops:
 
     @property
     def density_m3(self) -> float:
-        """Drops in a cubic metre."""
         return float(np.sum(self.in_air_m3))
 
     @property

@@ -158,7 +158,6 @@ def _search(
 @numba.njit(parallel=True, cache=True)
 @no_type_check
 def _mark(seed, count, wraps, fractions, geometry, margins, far, everywhere, found):
-    """Mark drops by class and turn."""
     for chunk in numba.prange(CLASSES // _CLASSES_BY_CHUNK):
         for c in range(chunk * _CLASSES_BY_CHUNK, (chunk + 1) * _CLASSES_BY_CHUNK):
             first, row = np.uint32((c * FIRST_OF_CLASS) % CLASSES), found[c]

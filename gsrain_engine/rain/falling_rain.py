@@ -38,7 +38,6 @@ class FallingRain:
 
     @cached_property
     def haze_gaussians(self) -> Gaussians:
-        """The haze alone."""
         if self.haze is None:
             return Gaussians.empty()
         n = len(self.haze.means)
@@ -53,7 +52,6 @@ class FallingRain:
 
     @property
     def haze_drawn(self) -> int:
-        """Haze Gaussians."""
         return len(self.haze.means) if self.haze is not None else 0
 
     @cached_property

@@ -25,7 +25,6 @@ class MeasuredWeather:
 
     @property
     def told(self) -> str:
-        """All that in one sentence."""
         words = [f"{self.records:,} records over {self.duration_s:,.0f} s"]
         if self.left_out:
             words.append(f"{self.left_out:,} left out, without a time or a rate")

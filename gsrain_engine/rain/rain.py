@@ -24,13 +24,11 @@ class Box(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
     @property
     def size_m(self) -> Vector:
-        """Edge lengths."""
         x, y, z = (high - low for low, high in zip(self.minimum_m, self.maximum_m, strict=True))
         return x, y, z
 
     @property
     def center_m(self) -> Vector:
-        """Middle of the box."""
         x, y, z = ((high + low) / 2 for low, high in zip(self.minimum_m, self.maximum_m, strict=True))
         return x, y, z
 

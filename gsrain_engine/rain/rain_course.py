@@ -47,7 +47,6 @@ class RainCourse:
         return cls(intensity, mean_wind, gusts, table, _weights(intensity, table))
 
     def diameters_mm(self, time_s: float) -> Float64[np.ndarray, " classes"]:
-        """Diameter of each class at a time."""
         return self.table.at(self.table.diameters_mm, self._rate(time_s))
 
     def motion(self, time_s: float) -> DropMotion:

@@ -57,7 +57,6 @@ class RainState:
 
     @property
     def sizes(self) -> DropSizes:
-        """Law of the diameters."""
         return DropSizes(self.shape, self.scale_mm)
 
 

@@ -227,7 +227,6 @@ class Rainfall:
 def _roofs_over(
     roofs: Roofs | None, center_m: Float64[np.ndarray, "3"], size_m: Float64[np.ndarray, "3"]
 ) -> Roofs | None:
-    """Roofs over a box at any heading."""
     if roofs is None:
         return None
     return roofs.around(float(center_m[0]), float(center_m[1]), float(np.hypot(size_m[0], size_m[1])) / 2)

@@ -47,7 +47,6 @@ class WeatherKey(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing is set."""
         return self.intensity_mm_h is None and self.wind_m_s is None and self.exposure_s is None
 
 
@@ -61,8 +60,7 @@ class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     between: Annotated[
         Literal["linear", "smooth"],
         Meta(
-            title="Between keys",
-            description="linear: straight. smooth: rounded, never beyond the keys on either side.",
+            title="Between keys", description="linear: straight. smooth: rounded, never beyond the keys on either side."
         ),
     ] = "linear"
 
@@ -73,7 +71,6 @@ class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     @cached_property
     def curves(self) -> dict[Keyed, WeatherCurve]:
-        """What is keyed, as functions of time."""
         found: dict[Keyed, WeatherCurve] = {}
         for name in KEYED:
             set_there = [key for key in self.keys if getattr(key, name) is not None]
@@ -85,7 +82,6 @@ class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     @cached_property
     def times_s(self) -> Float64[np.ndarray, " n"]:
-        """Times of all keys, rising."""
         return np.array([key.time_s for key in self.keys], np.float64)
 
     def is_keyed(self, name: str) -> bool:

@@ -42,7 +42,6 @@ class WeatherCurve:
         return cls(knots, np.clip(drawn, values.min(axis=0), values.max(axis=0)))
 
     def at(self, time_s: float) -> Float64[np.ndarray, " k"]:
-        """Value at a time."""
         before = self.before(time_s)
         if before < 0:
             return self.values[0]

@@ -58,7 +58,6 @@ class WetnessCourse:
     """The moment that was asked for last."""
 
     def at(self, time_s: float) -> float:
-        """Wetness at a time."""
         if time_s not in self._at:
             value = self._found(time_s)
             self._at.clear()

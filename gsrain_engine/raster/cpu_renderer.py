@@ -38,11 +38,6 @@ class CpuRenderer:
         with_depth: bool = False,
         look: Look = "splats",
     ) -> None:
-        """Draw parts and rain as one depth-ordered compositing; `read` hands out the picture.
-
-        `camera` is in the world (metres). Depth is the scene's own: rain takes no part in it. `look` shows something
-        else than the picture, without rain.
-        """
         self.statistics = RenderStatistics(stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0})
         with self._timed("project"):
             falling = rain if look == "splats" and rain is not None and len(rain.gaussians) else None
@@ -59,7 +54,6 @@ class CpuRenderer:
         self.statistics.splats_drawn = len(order)
 
     def read(self) -> Frame:
-        """Hand out the last picture, with depth if it was drawn."""
         assert self._frame is not None, "draw before reading the picture"
         return self._frame
 

@@ -49,7 +49,6 @@ class CudaRenderer:
 
     @property
     def device_name(self) -> str:
-        """What the driver calls the device."""
         return torch.cuda.get_device_name() if self._device.startswith("cuda") else self._device
 
     def draw(

@@ -36,12 +36,7 @@ def draw_look(look: Look, splats: Splats, tiles: TileLists, *, with_depth: bool)
 
 
 def draw_in_rain(
-    splats: Splats,
-    order: Int32[np.ndarray, " drawn"],
-    tiles: TileLists,
-    rain: FallingRain,
-    *,
-    with_depth: bool,
+    splats: Splats, order: Int32[np.ndarray, " drawn"], tiles: TileLists, rain: FallingRain, *, with_depth: bool
 ) -> Frame:
     """Draw scene and rain through each other; `tiles` hold the splats in that order."""
     if rain.mixing == "linear":

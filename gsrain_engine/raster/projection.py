@@ -165,7 +165,6 @@ def _flag_range(first, last, means, scales, opacities, left_out, least_opacity, 
 @numba.njit(inline="always", error_model="numpy")
 @no_type_check
 def _has(words, i):
-    """Whether Gaussian i is in a mask."""
     return (words[i >> 5] >> np.uint32(i & 31)) & np.uint32(1) == np.uint32(1)
 
 
@@ -285,7 +284,6 @@ def _shape(mean, scale, q, opacity, is_rain, as_point, m, intrinsics, shape):
 @numba.njit(inline="always", error_model="numpy")
 @no_type_check
 def _along(length, x, y, z, ux, uy, uz, vx, vy, vz):
-    """One axis of a Gaussian in the image."""
     return length * (ux * x + uy * y + uz * z), length * (vx * x + vy * y + vz * z)
 
 

@@ -45,7 +45,6 @@ class Splats:
 
     @property
     def is_rain(self) -> Bool[np.ndarray, " m"]:
-        """Which of them are rain."""
         return self.shapes[:, 6] < LEAST_SCENE_CUT
 
     def nearest_first(self) -> Int32[np.ndarray, " drawn"]:

@@ -33,12 +33,10 @@ class TileLists:
 
     @property
     def columns(self) -> int:
-        """Tiles side by side."""
         return -(-self.width // TILE)
 
     @property
     def rows(self) -> int:
-        """Tiles one above the other."""
         return -(-self.height // TILE)
 
 

@@ -117,7 +117,6 @@ class _OSMesa:
         self.exit()
 
     def release(self) -> None:
-        """Destroy the context."""
         if self._handle:
             self._library.OSMesaDestroyContext(self._handle)
             self._handle = None

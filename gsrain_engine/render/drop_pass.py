@@ -136,7 +136,6 @@ class DropPass:
 
 
 def streak_slots(field: StreakField) -> int:
-    """Slots that the streaks of a field may take."""
     return -(-field.most_drops // SLOTS_BY_BLOCK) * SLOTS_BY_BLOCK * field.rain.max_copies
 
 

@@ -69,7 +69,6 @@ class EglContext:
         self.exit()
 
     def release(self) -> None:
-        """Destroy the context."""
         if self._context:
             self._destroy(self._display, self._context)
             self._context = None

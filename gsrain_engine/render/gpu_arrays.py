@@ -41,7 +41,6 @@ class GaussianBuffers:
     """Of the wet colours; none where they were not asked for."""
 
     def chunks(self) -> Iterator[tuple[moderngl.Buffer, ...]]:
-        """Yield the four buffers of each chunk."""
         return zip(self.means_opacities, self.scales, self.quaternions, self.sh, strict=True)
 
 

@@ -30,5 +30,4 @@ class GrowingBuffer:
         return self._buffer
 
     def bind(self, binding: int) -> None:
-        """Bind it for shaders."""
         self._buffer.bind_to_storage_buffer(binding)

@@ -38,7 +38,6 @@ class MountedCamera:
 
     @property
     def end_s(self) -> float:
-        """When the drive ends."""
         return float(self._times_s[-1])
 
     @property

@@ -23,11 +23,9 @@ class OffscreenRenderer(SplatRenderer):
         with_depth: bool = False,
         look: Look = "splats",
     ) -> None:
-        """Draw parts and rain as one depth-ordered compositing, as `SplatRenderer.draw`."""
         with self.context:
             super().draw(parts, camera, rain, with_depth=with_depth, look=look)
 
     def read(self) -> Frame:
-        """Fetch the last picture, as `SplatRenderer.read`."""
         with self.context:
             return super().read()

@@ -80,7 +80,6 @@ def write_legend(path: Path, legend: Mapping[str, Any]) -> None:
 
 
 def write_array(path: Path, values: Float32[np.ndarray, "..."]) -> None:
-    """Write an array as NPY."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as beside, beside.open("wb") as file:
         np.save(file, values, allow_pickle=False)

@@ -57,14 +57,8 @@ class ProjectionPass:
         self.drops = DropPass(context)
 
     def project(
-        self,
-        store: SplatStore,
-        parts: Sequence[Part],
-        camera: Camera,
-        rain: FallingRain | None,
-        look: Look,
+        self, store: SplatStore, parts: Sequence[Part], camera: Camera, rain: FallingRain | None, look: Look
     ) -> Slots:
-        """Write the visible splats of parts and rain into the store."""
         rows = [(part if part.opacity > 0 else part._replace(limit=0), False) for part in parts]
         field = rain.streak_field if rain is not None else None
         if rain is not None:

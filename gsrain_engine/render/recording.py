@@ -99,8 +99,7 @@ class Recording(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         ),
     ] = ("color",)
     twin: Annotated[
-        bool,
-        Meta(title="Clear twin", description="Also the same clip at 0 mm/h, as NAME.clear, for tests in pairs."),
+        bool, Meta(title="Clear twin", description="Also the same clip at 0 mm/h, as NAME.clear, for tests in pairs.")
     ] = False
     codec: Annotated[
         Codec,

@@ -64,11 +64,9 @@ class FrameSequence:
                 return self.camera.end_s - self.start_s
 
     def shot(self, number: int) -> Shot:
-        """Camera and moment of a frame."""
         return self.shot_at(self.time_s(number))
 
     def shot_at(self, time_s: float) -> Shot:
-        """Camera at a moment."""
         match self.camera:
             case Camera():
                 return Shot(self.camera, time_s)
@@ -106,13 +104,7 @@ class FrameSequence:
         return replace(frame, depth=alone.depth)
 
     def render(
-        self,
-        renderer: Renderer,
-        numbers: Iterable[int],
-        sky: Sky,
-        *,
-        with_depth: bool = False,
-        look: Look = "splats",
+        self, renderer: Renderer, numbers: Iterable[int], sky: Sky, *, with_depth: bool = False, look: Look = "splats"
     ) -> Iterator[RenderedFrame]:
         """Render frames by their numbers, in any order."""
         for number in numbers:

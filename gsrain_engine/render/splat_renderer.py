@@ -45,10 +45,7 @@ class SplatRenderer:
     name = "opengl"
 
     def __init__(
-        self,
-        context: moderngl.Context,
-        precision: Literal["half", "single"] = "single",
-        harmonics: Harmonics = "half",
+        self, context: moderngl.Context, precision: Literal["half", "single"] = "single", harmonics: Harmonics = "half"
     ) -> None:
         self.context = context
         self.arrays = GpuArrays(context, harmonics)

@@ -54,7 +54,6 @@ class SplatStore:
         self.counts.reserve(4 * (slots // SLOTS_BY_BLOCK))
 
     def bind(self) -> None:
-        """Bind everything at its place."""
         for number in range(self._record_blocks):
             self._records[number].bind(_RECORDS + number)
         self._sparse_keys.bind(_SPARSE_KEYS)

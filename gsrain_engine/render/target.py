@@ -41,7 +41,6 @@ class Target:
         return cls(layout, color, shares, depth, context.framebuffer(attachments))
 
     def release(self) -> None:
-        """Free the textures."""
         self.framebuffer.release()
         for texture in (self.color, self.shares, self.depth):
             if texture is not None:

@@ -21,7 +21,6 @@ class TornFile:
             raise self.error
 
     def write(self, data: bytes) -> int:
-        """Write at the present position."""
         if self.error is None:
             try:
                 self._file.seek(self._position)
@@ -40,9 +39,7 @@ class TornFile:
         return self._position
 
     def tell(self) -> int:
-        """Tell the present position."""
         return self._position
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()

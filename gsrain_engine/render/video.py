@@ -48,14 +48,7 @@ class VideoWriter:
     """Writes frames of one size. Use it in a `with` block: leaving it, even by an exception, ends the file properly."""
 
     def __init__(
-        self,
-        path: Path,
-        width: int,
-        height: int,
-        fps: float,
-        *,
-        codec: str | None = None,
-        quality: int | None = None,
+        self, path: Path, width: int, height: int, fps: float, *, codec: str | None = None, quality: int | None = None
     ) -> None:
         """Open a video file; its suffix chooses the format, and the codec where none is named.
 

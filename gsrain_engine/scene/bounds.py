@@ -73,7 +73,6 @@ class Core(NamedTuple):
 
     @property
     def middle(self) -> Float64[np.ndarray, "3"]:
-        """Middle of the box."""
         return (self.low + self.high) / 2
 
     @property

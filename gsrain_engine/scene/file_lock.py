@@ -242,7 +242,6 @@ def _lock(handle: int, *, waiting: bool, shared: bool = False) -> bool:
 
 
 def _is_still(path: Path, handle: int) -> bool:
-    """Whether an open file still stands at its path."""
     try:
         return path.stat().st_ino == os.fstat(handle).st_ino
     except OSError:

@@ -24,7 +24,6 @@ class Mask:
 
     @staticmethod
     def of(flags: Bool[np.ndarray, " n"]) -> "Mask":
-        """Pack one flag a Gaussian."""
         packed = np.packbits(flags, bitorder="little")
         padded = np.zeros(4 * _words(len(flags)), np.uint8)
         padded[: len(packed)] = packed
@@ -42,7 +41,6 @@ class Mask:
 
     @property
     def flags(self) -> Bool[np.ndarray, " n"]:
-        """One flag a Gaussian."""
         packed = self.words.astype("<u4", copy=False).view(np.uint8)
         return np.unpackbits(packed, count=self.count, bitorder="little").view(np.bool_)
 

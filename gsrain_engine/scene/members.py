@@ -108,12 +108,10 @@ class Actor(Member):
 
     @property
     def key(self) -> str:
-        """Name among all members of a scene."""
         return f"actors/{self.id}"
 
     @property
     def name(self) -> str:
-        """What it is called."""
         return self.id
 
     def way(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:

@@ -222,7 +222,6 @@ def remember(codes: Iterable[Code]) -> None:
 
 
 def answers_file() -> Path:
-    """Where answers are kept."""
     return Path(platformdirs.user_config_dir("gsrain", appauthor=False)) / "trusted_code.json"
 
 

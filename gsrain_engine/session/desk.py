@@ -58,7 +58,6 @@ class Desk(ViewedDocument):
         return []
 
     def start(self, job: BackgroundJob) -> None:
-        """Look after a job from now on."""
         self.jobs.append(job)
 
     def when_idle(self, work: Sequence[Work], what: str, act: Callable[[], None]) -> None:
@@ -126,7 +125,6 @@ class Desk(ViewedDocument):
             self.questions.withdraw(awaited.question)
 
     def clear_jobs(self) -> None:
-        """Forget the jobs that have ended."""
         self.jobs = self.running_jobs
 
     @property

@@ -41,7 +41,6 @@ class FreedMemory:
     """Returns freed memory when work has ended and a second has passed, in a thread."""
 
     def __init__(self, thread: Executor) -> None:
-        """Work is yet to be seen."""
         self._thread = thread
         self._due_s: float | None = None
 

@@ -28,12 +28,10 @@ class LogLines(logging.Handler):
     """Keeps the newest records of the program's loggers."""
 
     def __init__(self, most: int = 500) -> None:
-        """Keep at most so many lines."""
         super().__init__(logging.INFO)
         self.lines: deque[LogLine] = deque(maxlen=most)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Take in a record."""
         details = "".join(traceback.format_exception(*record.exc_info)) if record.exc_info else ""
         at = datetime.fromtimestamp(record.created)
         self.lines.append(LogLine(record.levelno, escaped(record.getMessage()), at, details))

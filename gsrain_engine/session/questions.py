@@ -64,7 +64,6 @@ class Questions:
         self._waiting = tuple(each for each in self._waiting if each is not question)
 
     def answer(self, answer: Answer) -> None:
-        """Act on the answer to the present question."""
         self._waiting = self._waiting[1:]
         answer.run()
 

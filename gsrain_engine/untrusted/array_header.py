@@ -49,5 +49,4 @@ def read_array_header(stream: Readable, kinds: str = "fiub") -> tuple[tuple[int,
 
 
 def array_bytes(shape: tuple[int, ...], dtype: "np.dtype[Any]") -> int:
-    """Bytes that the numbers of an array take."""
     return math.prod(shape) * dtype.itemsize

@@ -27,8 +27,7 @@ _MESH = "a mesh or a point cloud, no Gaussians"
 _HEIC = "an HEIC or AVIF picture: convert it to JPEG or PNG"
 _KINDS = (
     _Kind(
-        "a pointer of Git LFS, not the file itself: run git lfs pull where it was cloned",
-        (b"version https://git-lfs",),
+        "a pointer of Git LFS, not the file itself: run git lfs pull where it was cloned", (b"version https://git-lfs",)
     ),
     _Kind("a web page, not the file: the download went wrong", (b"<!doctype html", b"<html")),
     _Kind("a file of arrays", suffixes=(".npz", ".npy")),

@@ -46,7 +46,6 @@ class InputError(OSError):
     """Input that is refused: `filename` is its name, `strerror` the reason."""
 
     def __str__(self) -> str:
-        """Return both as one sentence."""
         return f"{self.filename}: {self.strerror}"
 
 
@@ -58,7 +57,6 @@ class Deadline:
     """The moment by which a whole exchange must be over, on the monotonic clock: nobody can set that."""
 
     def __init__(self, seconds: float) -> None:
-        """Start to count now."""
         self.seconds = seconds
         self._end = time.monotonic() + seconds
 
@@ -242,7 +240,6 @@ class Wire:
         return data
 
     def close(self) -> None:
-        """Hang up."""
         self._socket.close()
 
 

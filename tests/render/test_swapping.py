@@ -1,5 +1,6 @@
 """Other Gaussians take a scene's place without holding up a frame: uploads in slices, the sky a picture at a time."""
 
+import msgspec
 import numpy as np
 import pytest
 from PIL import Image
@@ -216,7 +217,7 @@ def test_large_scenes_are_looked_at_in_part_first_and_in_full_at_rest(renderer, 
 
 def test_a_screenshot_finds_the_exact_sky(context, session, monkeypatch, tmp_path):
     monkeypatch.setattr(sky_watch, "_QUICK", 500)
-    session.set_rain("Rain", load_preset("8.5"))
+    session.change_rain("Rain", **msgspec.structs.asdict(load_preset("8.5")))
     view = LiveView(context, session, "opengl")
     picture(view)
     session.set_scene("Darker", darkened(session.scene))

@@ -133,7 +133,8 @@ def picture(view):
 
 
 def rain_at(session, intensity_mm_h, **fields):
-    session.set_rain("Rain", msgspec.structs.replace(load_preset("clear"), intensity_mm_h=intensity_mm_h, **fields))
+    clear = msgspec.structs.asdict(load_preset("clear"))
+    session.change_rain("Rain", **clear | {"intensity_mm_h": intensity_mm_h, **fields})
 
 
 def test_the_slider_moves_the_appearance(context, session):

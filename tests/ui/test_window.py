@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 from imgui_bundle import im_file_dialog
@@ -233,7 +232,7 @@ def test_a_scene_that_can_not_be_opened_leaves_a_window_that_says_why(tmp_path):
 def test_two_pictures_beside_each_other_and_a_divider_between(driver):
     def script():
         driver.click("//Rain/8.5")
-        driver.session.set_rain("Much", msgspec.structs.replace(driver.session.rain, streak_gain=50.0))
+        driver.session.change_rain("Much", streak_gain=50.0)
         driver.frames()
         rainy = driver.picture()
         driver.session.view.split = "clear | rainy"

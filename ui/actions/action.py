@@ -34,12 +34,10 @@ class Action:
 
     @property
     def chords(self) -> tuple[int, ...]:
-        """All of its keys."""
         return (self.keys,) if isinstance(self.keys, int) else self.keys
 
     @property
     def key_names(self) -> str:
-        """Its keys in words."""
         return " or ".join(map(chord_name, self.chords))
 
     def title(self, session: Session) -> str:

@@ -76,17 +76,7 @@ VIEW_ACTIONS = (
         for split in get_args(Split)
     ),
     Action(
-        "Play or pause",
-        lambda session: session.clock.toggle(),
-        "View",
-        chord(_KEY.space),
-        "Let time go on or stop it.",
+        "Play or pause", lambda session: session.clock.toggle(), "View", chord(_KEY.space), "Let time go on or stop it."
     ),
-    Action(
-        "Navigate",
-        _set("tool", ""),
-        "",
-        chord(_KEY.escape),
-        "Put the tool away: the left button orbits again.",
-    ),
+    Action("Navigate", _set("tool", ""), "", chord(_KEY.escape), "Put the tool away: the left button orbits again."),
 )

@@ -10,7 +10,6 @@ TITLE = "About GSRAIN"
 
 
 def about_page(session: Session) -> None:
-    """Draw the page while it is open."""
     if session.view.dialog == "about" and not imgui.is_popup_open(TITLE):
         imgui.open_popup(TITLE)
     imgui.set_next_window_size(ImVec2(30 * imgui.get_font_size(), 0))

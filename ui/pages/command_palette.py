@@ -32,7 +32,6 @@ class CommandPalette:
         self._line = 0
 
     def draw(self, session: Session) -> None:
-        """Draw it while it is open."""
         if session.view.dialog == "commands" and not imgui.is_popup_open(TITLE):
             self._typed, self._line = "", 0
             imgui.open_popup(TITLE)
@@ -62,7 +61,6 @@ class CommandPalette:
         self._line = 0 if changed else min(max(self._line + step, 0), max(count - 1, 0))
 
     def _list(self, found: list[_Command]) -> _Command | None:
-        """Draw the lines; returns the one that is to be done."""
         chosen = None
         enter = imgui.is_key_pressed(imgui.Key.enter) or imgui.is_key_pressed(imgui.Key.keypad_enter)
         if imgui.begin_child("lines", ImVec2(0, _LINES * imgui.get_text_line_height_with_spacing())):

@@ -23,7 +23,6 @@ MOUSE_AND_FLIGHT = (
 
 
 def keyboard_page(session: Session) -> None:
-    """Draw the page while it is open."""
     if session.view.dialog == "keys" and not imgui.is_popup_open(TITLE):
         imgui.open_popup(TITLE)
     size = imgui.get_main_viewport().size

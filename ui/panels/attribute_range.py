@@ -95,7 +95,6 @@ def _with_margin(first: float, last: float, logarithmic: bool) -> tuple[float, f
 
 
 def _bars(label: str, histogram: Histogram, counts: np.ndarray, color: ImVec4) -> None:
-    """Draw counts as a filled staircase."""
     spec = implot.Spec()
     spec.fill_color, spec.line_color, spec.fill_alpha = color, color, 0.75
     spec.flags = implot.StairsFlags_.shaded
@@ -130,7 +129,6 @@ def _is_in_plot(at: ImVec2) -> bool:
 
 
 def _numbers(name: str, histogram: Histogram, chosen: tuple[float, float]) -> tuple[float, float]:
-    """Draw the range as numbers that can be typed; returns it."""
     low, high = chosen
     speed = max(float(histogram.edges[-1] - histogram.edges[0]) / 500, 1e-6)
     unit = f" {ATTRIBUTES[name].unit}".rstrip()

@@ -24,7 +24,6 @@ _CALIBRATIONS = "Calibrations{.yaml,.yml},All files{.*}"
 
 
 def calibration_panel(session: Session) -> None:
-    """Draw the panel."""
     lab = session.lab
     own = session.rainfall.calibration
     _choose(session)

@@ -40,7 +40,6 @@ def camera_mosaic_panel(session: Session) -> None:
 
 
 def _width(rows: list[list[RigCamera]]) -> float:
-    """Width of a picture, so that all of them fit into the panel."""
     room, most = imgui.get_content_region_avail(), max(map(len, rows))
     by_width = (room.x - (most - 1) * _GAP) / most
     tall = sum(max(each.height / each.width for each in row) for row in rows)

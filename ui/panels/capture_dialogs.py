@@ -8,10 +8,8 @@ _FILES = "Captures{.json,.tfrecord,.pkl,.parquet},All files{.*}"
 
 
 def ask_for_capture_folder(session: Session) -> None:
-    """Show a dialog for the folder of a capture."""
     ask_what_to_open("Open a capture (folder)", "", lambda chosen: session.captures.open(chosen[0]))
 
 
 def ask_for_capture_file(session: Session) -> None:
-    """Show a dialog for a capture that is one file."""
     ask_what_to_open("Open a capture (file)", _FILES, lambda chosen: session.captures.open(chosen[0]))

@@ -18,7 +18,6 @@ _ROW_EM = 3.6
 
 
 def capture_panel(session: Session) -> None:
-    """Draw the panel."""
     captures = session.captures
     if captures.busy is not None:
         imgui.progress_bar(-imgui.get_time(), (-1, 0), captures.busy)

@@ -15,7 +15,6 @@ _STEP_MM = 0.1
 
 
 def disdrometer_panel(session: Session) -> None:
-    """Draw the panel."""
     lab, rain = session.lab, session.rain_now
     plain_label("Area (m\u00b2)", "Of the horizontal square that catches drops.")
     _, lab.area_m2 = imgui.slider_float("##area", lab.area_m2, 0.005, 10, "%.3g", _LOGARITHMIC)

@@ -15,7 +15,6 @@ _held: dict[str, float] = {}
 
 
 def display_panel(session: Session) -> None:
-    """Draw the panel."""
     view = session.view
     plain_label("Background", "Shown where the scene has nothing.")
     _, color = imgui.color_edit3("##background", list(view.background))

@@ -7,12 +7,7 @@ from imgui_bundle import ImVec4
 
 from gsrain_engine.session.drive.opened_rollout import OpenedRollout
 
-_STOPS = (
-    (0.0, (0.98, 0.74, 0.25)),
-    (1.2, (0.45, 0.82, 0.45)),
-    (8.5, (0.35, 0.68, 1.0)),
-    (12.0, (0.78, 0.52, 1.0)),
-)
+_STOPS = ((0.0, (0.98, 0.74, 0.25)), (1.2, (0.45, 0.82, 0.45)), (8.5, (0.35, 0.68, 1.0)), (12.0, (0.78, 0.52, 1.0)))
 _DARKER = 0.72
 """Each further one of the same rain."""
 _FEW = 3

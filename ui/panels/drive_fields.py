@@ -67,7 +67,6 @@ def agent_fields(wanted: WantedDrive) -> None:
 
 
 def rain_fields(session: Session) -> None:
-    """Pick the rain of the drive, and the seed."""
     wanted = session.drives.wanted
     wishes = edited(wanted.wishes, "rain")
     if wishes.rain == "one intensity":

@@ -44,7 +44,6 @@ _ROWS: tuple[tuple[str, str, Callable[[DriveMetrics], str]], ...] = (
 
 
 def drive_metrics(session: Session) -> None:
-    """Draw the table."""
     drives = session.drives
     runs = sorted(zip(drives.opened, curve_colors(drives.opened), strict=True), key=lambda each: each[0].intensity_mm_h)
     runs = runs[:_MOST]

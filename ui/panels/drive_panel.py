@@ -19,7 +19,6 @@ _HELP = (
 
 
 def drive_panel(session: Session) -> None:
-    """Draw the panel."""
     wanted = session.drives.wanted
     scenario_choice(session)
     if imgui.tree_node("Change the scenario"):

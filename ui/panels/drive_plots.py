@@ -46,7 +46,6 @@ _PLOTS = (
 
 
 def drive_plots(session: Session) -> None:
-    """Draw the panel."""
     drives = session.drives
     if drives.playing is None:
         imgui.text_wrapped("No roll-out is open: drive, or open one, in the Drive panel.")

@@ -10,7 +10,6 @@ PICK_TOOL = "Pick sky colour"
 
 
 def drop_color(session: Session) -> None:
-    """Draw the row."""
     fields.label("drop_color")
     own = session.rain.drop_color
     flags = imgui.ColorEditFlags_.no_inputs | imgui.ColorEditFlags_.no_label

@@ -20,7 +20,6 @@ from .place_fields import place_fields
 
 
 def edit_panel(session: Session) -> None:
-    """Draw the panel."""
     _selection(session)
     member = next((each for each in session.scene.members if each.key == session.view.member), None)
     if member is None:

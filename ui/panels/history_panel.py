@@ -14,7 +14,6 @@ class _Seen:
 
 
 def history_panel(session: Session) -> None:
-    """Draw the panel."""
     history = session.history
     chosen = None
     for number, step in enumerate(history.labels):

@@ -8,7 +8,6 @@ from .job_fields import job_fields
 
 
 def jobs_panel(session: Session) -> None:
-    """Draw the panel."""
     if not session.jobs:
         imgui.text_wrapped("Nothing goes on in the background. Make it rainy, Capture, Drive and Record start jobs.")
     for number, job in reversed(list(enumerate(session.jobs))):

@@ -37,7 +37,6 @@ _naming, _marked = _Naming(), _Marked()
 
 
 def layers_panel(session: Session) -> None:
-    """Draw the panel."""
     scene = session.scene
     imgui.text_wrapped(f"{scene.name}: {scene.gaussian_count:,} Gaussians")
     _marked.keys = [key for key in _marked.keys if any(each.key == key for each in scene.members)]

@@ -19,7 +19,6 @@ class _Filter:
 
 
 def log_panel(session: Session) -> None:
-    """Draw the panel."""
     imgui.set_next_item_width(7 * imgui.get_font_size())
     names = list(_LEVELS)
     changed, picked = imgui.combo("##level", names.index(_Filter.level), names)

@@ -40,7 +40,6 @@ _PREVIEW_HELP = (
 
 
 def make_rainy_panel(session: Session) -> None:
-    """Draw the panel."""
     _method(session)
     _views(session)
     imgui.spacing()
@@ -72,7 +71,6 @@ def _method(session: Session) -> None:
 
 
 def _concerns(name: str, settings: TransferSettings) -> bool:
-    """Whether a setting matters, as the others are."""
     if name == "normals_weights":
         return settings.normals in ("dsine", "marigold")
     if name == "normals_checkout":

@@ -16,7 +16,6 @@ _MODES: dict[Mode, str] = {"picture": "that view, from here", "difference": "dif
 
 
 def matching_fields(session: Session) -> None:
-    """Draw the fields."""
     matching = session.matching
     _, matching.is_on = imgui.checkbox("Show matches", matching.is_on)
     imgui.set_item_tooltip(

@@ -19,7 +19,6 @@ _HIGHEST_MM_H = 100.0
 
 
 def rain_panel(session: Session) -> None:
-    """Draw the panel."""
     _presets(session)
     _intensity(session)
     _exposure(session)

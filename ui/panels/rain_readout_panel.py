@@ -14,7 +14,6 @@ from .rain_panel import WARNING
 
 
 def rain_readout_panel(session: Session) -> None:
-    """Draw the panel."""
     state = session.shown_rainfall.state_at(session.clock.time_s)
     if state.intensity_mm_h == 0:
         imgui.text_wrapped("0 mm/h now: no rain at all." if session.weather.keys else "0 mm/h: no rain at all.")

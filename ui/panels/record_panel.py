@@ -23,7 +23,6 @@ _KINDS = {
 
 
 def record_panel(session: Session) -> None:
-    """Draw the panel."""
     format_fields(session)
     camera_field(session)
     size_fields(session)
@@ -70,7 +69,6 @@ def ask_where_to_record(session: Session) -> None:
 
 
 def ask_where_to_record_still(session: Session) -> None:
-    """Show the dialog for a still."""
     kinds = "PNG{.png},JPEG{.jpg},EXR{.exr}"
     ask_where_to_save("Record a still", kinds, lambda chosen: session.recorder.record_still_to(chosen[0]))
 

@@ -32,7 +32,6 @@ _MODES: dict[ChaseMode, str] = {
 
 
 def rollout_fields(session: Session) -> None:
-    """Draw them."""
     drives = session.drives
     third = (imgui.get_content_region_avail().x - 2 * imgui.get_style().item_spacing.x) / 3
     if imgui.button(f"{_ICONS.ICON_FA_FOLDER_OPEN}  Open...###open roll-out", (third, 0)):
@@ -78,12 +77,10 @@ def ask_for_rollout(session: Session) -> None:
 
 
 def ask_where_to_save_rollout(session: Session) -> None:
-    """Ask where the one that plays goes."""
     ask_where_to_save("Save the roll-out", _KINDS, lambda chosen: session.drives.save_as(session, chosen[0]))
 
 
 def ask_where_to_film(session: Session) -> None:
-    """Ask where the film of the one that plays goes."""
     ask_where_to_save("Film the drive", _FILMS, lambda chosen: session.drives.film_to(session, chosen[0]))
 
 

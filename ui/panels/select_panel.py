@@ -11,7 +11,6 @@ from .selection_sets import selection_sets
 
 
 def select_panel(session: Session) -> None:
-    """Draw the panel."""
     count = selected_count(session.scene)
     imgui.align_text_to_frame_padding()
     imgui.text(f"{count:,} of {selectable_count(session.scene):,} selected")

@@ -19,7 +19,6 @@ _SIGNS: dict[Mode, tuple[str, str]] = {
 
 
 def selection_sets(session: Session, count: int) -> None:
-    """Draw the list."""
     options = session.selecting
     imgui.begin_disabled(count == 0)
     imgui.set_next_item_width(-4.5 * imgui.get_font_size())

@@ -26,7 +26,6 @@ SERIES_FILES = "Disdrometer files{.nc,.cdf,.dat,.txt,.csv,.log,.mis,.gz},All fil
 
 
 def shower_panel(session: Session) -> None:
-    """Draw the panel."""
     room, em = imgui.get_content_region_avail(), imgui.get_font_size()
     is_wide = room.x > _WIDE_EM * em
     _buttons(session)

@@ -143,7 +143,6 @@ def _deletes(session: Session) -> bool:
 
 
 def _between(times: Float64[np.ndarray, " n"], number: int, wanted: float) -> float:
-    """Keep a key between its neighbours."""
     low = times[number - 1] + _CLOSEST_S if number > 0 else -np.inf
     high = times[number + 1] - _CLOSEST_S if number + 1 < len(times) else np.inf
     return float(times[number]) if low > high else float(np.clip(wanted, low, high))

@@ -8,7 +8,6 @@ from .rain_panel import WARNING
 
 
 def statistics_panel(session: Session) -> None:
-    """Draw the panel."""
     imgui.text_wrapped(f"{imgui.get_io().framerate:.1f} frames a second, back end: {session.backend}")
     if not session.detail.is_exact:
         imgui.text_colored(WARNING, f"while the camera moves: {session.detail}")

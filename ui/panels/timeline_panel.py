@@ -17,7 +17,6 @@ _NARROW_EM = 50.0
 
 
 def timeline_panel(session: Session) -> None:
-    """Draw the panel."""
     em, timeline = imgui.get_font_size(), session.timeline
     transport(session)
     avail = imgui.get_content_region_avail()

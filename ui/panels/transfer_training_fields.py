@@ -30,7 +30,6 @@ _CURVES = {
 
 
 def transfer_training_fields(session: Session) -> None:
-    """Draw the fields."""
     studio = session.studio
     job = studio.job
     if job is None or job.state != "running":

@@ -10,7 +10,6 @@ _NO_WET_COLORS = 'The scene has no wet colours yet: the panel "Make it rainy" or
 
 
 def wetness_fields(session: Session) -> None:
-    """Draw the row."""
     own, now = session.rain.wetness, session.wetness_now
     has_colors = session.scene.has_wet_colors
     beside = imgui.calc_text_size("auto").x + imgui.get_frame_height() + 2 * imgui.get_style().item_spacing.x

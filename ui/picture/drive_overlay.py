@@ -78,7 +78,6 @@ def _box(viewport: Viewport, box: BoxMark) -> None:
 
 
 def _seen(viewport: Viewport, seen: SeenBox) -> None:
-    """Draw a detection, with its words below."""
     draw, hue = imgui.get_window_draw_list(), _PLAN if seen.is_lead else _SEEN
     low, high = viewport.on_screen(*seen.low_px), viewport.on_screen(*seen.high_px)
     draw.add_rect(low, high, color(hue), 2.0, thickness=2.0 if seen.is_lead else 1.2)

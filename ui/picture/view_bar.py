@@ -12,7 +12,6 @@ _ICONS = icons_fontawesome_6
 
 
 def view_bar(session: Session) -> None:
-    """Draw the bar."""
     playing = session.clock.playing
     icon = _ICONS.ICON_FA_PAUSE if playing else _ICONS.ICON_FA_PLAY
     if _button(icon, "Play", "Let time go on or stop it (Space)."):

@@ -31,7 +31,6 @@ _KEYS = {
 
 
 def viewport_panel(session: Session, textures_of: TexturesOf) -> None:
-    """Draw the panel."""
     view_bar(session)
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x), 16), max(int(size.y), 16)

@@ -27,7 +27,6 @@ class BoxTool:
         self._held: Face | None = None
 
     def draw(self, session: Session, viewport: Viewport) -> bool:
-        """Place, size and apply the box."""
         options = session.selecting
         if is_pressed(viewport):
             self._held = face_under_mouse(viewport, options.box) if options.box is not None else None
@@ -46,7 +45,6 @@ class BoxTool:
         return True
 
     def options(self, session: Session) -> None:
-        """Draw its settings."""
         options = session.selecting
         mode_options(session)
         box = options.box

@@ -26,7 +26,6 @@ class BrushTool:
         self._drag = LeftDrag()
 
     def draw(self, session: Session, viewport: Viewport) -> bool:
-        """Draw brush and stroke, and select when it is let go."""
         options = session.selecting
         if not (imgui.get_io().want_text_input or imgui.get_io().key_ctrl):
             for key, factor in ((imgui.Key.left_bracket, 1 / _STEP), (imgui.Key.right_bracket, _STEP)):
@@ -47,7 +46,6 @@ class BrushTool:
         return True
 
     def options(self, session: Session) -> None:
-        """Draw its settings."""
         options = session.selecting
         shape_options(session)
         beside(7)

@@ -26,7 +26,6 @@ class CropTool:
     _held: Face | None = None
 
     def draw(self, session: Session, viewport: Viewport) -> bool:
-        """Draw the box and let its faces be dragged."""
         box = self._box_of(session.scene)
         under = face_under_mouse(viewport, box)
         if under is not None and is_pressed(viewport):
@@ -40,7 +39,6 @@ class CropTool:
         return self._held is not None or under is not None
 
     def options(self, session: Session) -> None:
-        """Edit the box by numbers; apply it."""
         box = self._box_of(session.scene)
         if imgui.button("Apply##crop"):
             session.edit("Crop to the box", crop, box)

@@ -23,7 +23,6 @@ class LassoTool:
         self._drag = LeftDrag()
 
     def draw(self, session: Session, viewport: Viewport) -> bool:
-        """Draw the line, and select when it is let go."""
         state = self._drag.follow(viewport)
         if state in ("pressed", "dragged"):
             outline.line(viewport, self._drag.points)
@@ -36,5 +35,4 @@ class LassoTool:
         return True
 
     def options(self, session: Session) -> None:
-        """Draw its settings."""
         shape_options(session)

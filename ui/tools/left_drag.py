@@ -41,5 +41,4 @@ class LeftDrag:
         return "released"
 
     def drop(self) -> None:
-        """Forget it."""
         self.points = []

@@ -27,7 +27,6 @@ class LevelTool:
     _points_m: list[Float64[np.ndarray, "3"]] = field(default_factory=list[Float64[np.ndarray, "3"]])
 
     def draw(self, session: Session, viewport: Viewport) -> bool:
-        """Take clicks; the third one levels."""
         if is_clicked(viewport):
             point = pick_point(session.scene, viewport.shot, *viewport.mouse_px)
             if point is not None:
@@ -43,7 +42,6 @@ class LevelTool:
         return False
 
     def options(self, session: Session) -> None:
-        """Level by the ground, or say how high it is."""
         if imgui.button("From the ground"):
             self._points_m = []
             session.edit("Level by the ground", level_from_ground)

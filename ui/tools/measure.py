@@ -28,7 +28,6 @@ class MeasureTool:
     _scene_to_world: Float64[np.ndarray, "4 4"] | None = None
 
     def draw(self, session: Session, viewport: Viewport) -> bool:
-        """Take clicks and draw the line; a drag still orbits."""
         self._forget_other_worlds(session.scene)
         if is_clicked(viewport):
             point = pick_point(session.scene, viewport.shot, *viewport.mouse_px)
@@ -47,7 +46,6 @@ class MeasureTool:
         return False
 
     def options(self, session: Session) -> None:
-        """Show the length; a true one sets the scale."""
         length = self._length_m
         imgui.begin_disabled(length is None)
         imgui.align_text_to_frame_padding()

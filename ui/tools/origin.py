@@ -36,7 +36,6 @@ class OriginTool:
     meaning: Meaning = "Ego start"
 
     def draw(self, session: Session, viewport: Viewport) -> bool:
-        """Show where the ego starts, and take a click."""
         ego = session.scene.ego_to_world(session.clock.time_s)
         if ego is not None:
             draw_point(viewport, ego[:3, 3])
@@ -54,7 +53,6 @@ class OriginTool:
         return False
 
     def options(self, session: Session) -> None:
-        """Pick what a click means."""
         meanings: tuple[Meaning, ...] = get_args(Meaning)
         for meaning in meanings:
             if imgui.radio_button(meaning, self.meaning == meaning):

@@ -33,7 +33,6 @@ def box(viewport: Viewport, first: Pixel, second: Pixel) -> None:
 
 
 def ring(viewport: Viewport, center: Pixel, radius_px: float) -> None:
-    """Draw a circle around a pixel."""
     draw, at = imgui.get_window_draw_list(), viewport.on_screen(*center)
     for color, width in ((_DARK, 3.5), (_LIGHT, 1.5)):
         draw.add_circle(at, radius_px, imgui.get_color_u32(color), 0, width)

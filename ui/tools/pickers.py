@@ -23,7 +23,6 @@ class FloodTool:
     help = f"Click on what to select as far as it hangs together and looks alike. {MODIFIERS}"
 
     def draw(self, session: Session, viewport: Viewport) -> bool:
-        """Select from what is clicked on; a drag still orbits."""
         options, picked = session.selecting, _clicked(session, viewport)
         if picked is not None:
             moment = viewport.shot.time_s
@@ -32,7 +31,6 @@ class FloodTool:
         return False
 
     def options(self, session: Session) -> None:
-        """Draw its settings."""
         options = session.selecting
         mode_options(session)
         beside(9)
@@ -57,7 +55,6 @@ class ColorPickTool:
     help = f"Click on a colour to select it everywhere. {MODIFIERS}"
 
     def draw(self, session: Session, viewport: Viewport) -> bool:
-        """Select from what is clicked on; a drag still orbits."""
         picked = _clicked(session, viewport)
         if picked is not None:
             part = session.scene.part(session.scene.member(picked.key), viewport.shot.time_s)
@@ -68,7 +65,6 @@ class ColorPickTool:
         return False
 
     def options(self, session: Session) -> None:
-        """Draw its settings."""
         mode_options(session)
         beside(9)
         tolerance_option(session)

@@ -23,7 +23,6 @@ class PolygonTool:
         self._frame = -1
 
     def draw(self, session: Session, viewport: Viewport) -> bool:
-        """Draw the corners, and select when they close."""
         if imgui.get_frame_count() != self._frame + 1:
             self._corners.clear()
         self._frame = imgui.get_frame_count()
@@ -41,7 +40,6 @@ class PolygonTool:
         return True
 
     def options(self, session: Session) -> None:
-        """Draw its settings."""
         shape_options(session)
         beside(10)
         imgui.align_text_to_frame_padding()
@@ -49,7 +47,6 @@ class PolygonTool:
         imgui.set_item_tooltip("Enter or a click on the first corner closes; Backspace drops the last; Esc drops all.")
 
     def _take_keys(self) -> bool:
-        """Return whether a key closes it."""
         if imgui.get_io().want_text_input:
             return False
         if imgui.is_key_pressed(imgui.Key.backspace) and self._corners:

@@ -23,7 +23,6 @@ class RectangleTool:
         self._drag = LeftDrag()
 
     def draw(self, session: Session, viewport: Viewport) -> bool:
-        """Draw the rectangle, and select when it is let go."""
         state = self._drag.follow(viewport)
         if state in ("pressed", "dragged"):
             outline.box(viewport, self._drag.points[0], self._drag.points[-1])
@@ -36,5 +35,4 @@ class RectangleTool:
         return True
 
     def options(self, session: Session) -> None:
-        """Draw its settings."""
         shape_options(session)

@@ -85,7 +85,6 @@ class RegionTool:
         return replace(inset, hovered=viewport.hovered and 0 <= x < width and 0 <= y < height)
 
     def options(self, session: Session) -> None:
-        """Choose the region; put it back."""
         for region, label in _LABELS.items():
             if imgui.radio_button(label, self._region == region):
                 self._region, self._pull = region, None
@@ -136,7 +135,6 @@ def _backdrop(inset: Viewport) -> None:
 
 
 def _under_mouse(viewport: Viewport, handles: list[FaceHandle]) -> FaceHandle | None:
-    """The nearest handle that the mouse is on."""
     x, y = viewport.mouse_px
     near: list[tuple[float, int]] = []
     for number, handle in enumerate(handles if viewport.hovered else ()):

@@ -38,7 +38,6 @@ def mode_now(session: Session) -> Mode:
 
 
 def take_shape(session: Session, viewport: Viewport, pixels: np.ndarray, by: str) -> None:
-    """Select what a shape of the picture takes in."""
     found = in_picture(session.scene, viewport.shot, pixels, session.selecting.reach)
     select(session, found, mode_now(session), by)
 

@@ -39,7 +39,6 @@ class SkyPickTool:
         return True
 
     def options(self, session: Session) -> None:
-        """Show the colour that drops have; give it back."""
         own = session.rain.drop_color
         red, green, blue = own or session.sky
         imgui.color_button("##drops now", (red, green, blue, 1.0))

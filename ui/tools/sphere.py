@@ -30,7 +30,6 @@ class SphereTool:
         self._radius_m = _FIRST_RADIUS_M
 
     def draw(self, session: Session, viewport: Viewport) -> bool:
-        """Place, size and apply the ball."""
         options = session.selecting
         if is_pressed(viewport):
             point = pick_point(session.scene, viewport.shot, *viewport.mouse_px)
@@ -52,7 +51,6 @@ class SphereTool:
         return True
 
     def options(self, session: Session) -> None:
-        """Draw its settings."""
         options = session.selecting
         mode_options(session)
         ball = options.ball

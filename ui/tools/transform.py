@@ -68,7 +68,6 @@ class MoveTool:
         return is_taken
 
     def options(self, session: Session) -> None:
-        """Pick what the handles do."""
         for handle, (verb, help_text) in _VERBS.items():
             if imgui.radio_button(f"{verb}##handle", self.handle == handle):
                 self.handle = handle

@@ -38,7 +38,6 @@ def ask_what_to_open(title: str, kinds: str, answer: Answer, *, several: bool = 
 
 
 def ask_where_to_save(title: str, kinds: str, answer: Answer) -> None:
-    """Show a dialog for a file to write."""
     ends = re.findall(r"[{,](\.[^,{}]*)", kinds)
     _waiting[title] = _Waiting(answer, frozenset(ends))
     im_file_dialog.FileDialog.instance().save(title, title, kinds)

@@ -45,7 +45,6 @@ class Gizmo:
         return self._start is not None
 
     def let_go(self) -> None:
-        """Forget the drag."""
         self._start = self._present = None
 
     def draw(

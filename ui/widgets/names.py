@@ -35,7 +35,6 @@ def label(name: str, identity: str = "") -> str:
 
 
 def visible_name(name: str) -> str:
-    """Return a name as the visible part of a label."""
     return _all_words(escaped(name))
 
 

@@ -40,10 +40,8 @@ def plot(
 
 
 def line(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> None:
-    """Draw a line."""
     implot.plot_line(visible_name(label), np.ascontiguousarray(x), np.ascontiguousarray(y))
 
 
 def points(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> None:
-    """Draw points."""
     implot.plot_scatter(visible_name(label), np.ascontiguousarray(x), np.ascontiguousarray(y))

@@ -27,7 +27,6 @@ class Viewport:
 
     @property
     def mouse_px(self) -> tuple[float, float]:
-        """Where the mouse is."""
         at = imgui.get_mouse_pos()
         return at.x - self.corner.x, at.y - self.corner.y
 

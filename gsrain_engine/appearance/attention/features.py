@@ -58,5 +58,4 @@ class FeatureMaps:
 
     @property
     def nbytes(self) -> int:
-        """Memory that the maps take."""
         return sum(m.numel() * m.element_size() for maps in (self._sums, self._weights) for m in maps.values())

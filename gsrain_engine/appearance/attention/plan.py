@@ -98,7 +98,6 @@ def _ranked(views: Sequence[ClearView], settings: MutualAttention) -> list[tuple
 
 
 def _cameras(taken: Sequence[tuple[float, str]]) -> list[list[int]]:
-    """Views of one camera each, from times and cameras."""
     sets: dict[str, list[int]] = {}
     for index, (_, sensor) in enumerate(taken):
         sets.setdefault(sensor, []).append(index)

@@ -24,8 +24,7 @@ class MutualAttention(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         ),
     ] = "outward"
     group: Annotated[
-        int,
-        Meta(ge=1, le=64, title="Group", description="So many views go through the network at once when together."),
+        int, Meta(ge=1, le=64, title="Group", description="So many views go through the network at once when together.")
     ] = 3
     layers: Annotated[
         tuple[str, ...],

@@ -16,12 +16,10 @@ class Window:
 
     @classmethod
     def whole(cls, height: int, width: int) -> "Window":
-        """All of a picture."""
         return cls(0, 0, height, width, (height, width))
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is all of its picture."""
         return (self.height, self.width) == self.frame
 
     def in_tokens(self, height: int, width: int) -> "Window":

@@ -115,7 +115,6 @@ class CycleGanTurbo(torch.nn.Module):
         return decoded(self.autoencoder(direction), latents, skips)
 
     def autoencoder(self, direction: Direction) -> Any:
-        """The one that encodes and decodes in this direction."""
         return self.vae if direction == "a2b" else self.vae_b2a
 
 

@@ -58,7 +58,6 @@ def check_complete(base: Path) -> None:
 
 
 def how_to_get_base() -> str:
-    """What to type for SD-Turbo."""
     kinds = " ".join(f"--include '{kind}'" for kind in ("*.json", "*.txt", "*model.safetensors"))
     return (
         f"hf download {_HUB_NAME} {kinds} --local-dir {data_folder() / 'sd-turbo'} (5 GB, under the licence of "

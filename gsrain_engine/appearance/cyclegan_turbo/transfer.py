@@ -142,7 +142,6 @@ class CycleGanTurboTransfer:
         return [np.clip((each + 1) / 2, 0, 1).astype(np.float32) for each in found]
 
     def _frame(self, view: ClearView) -> "_Frame":
-        """A view as the network takes it."""
         windows = self._windows(view.camera.width, view.camera.height)
         height, width = windows[0].frame
         guide = self._guide(view)

@@ -31,7 +31,6 @@ class WeightsFile:
 
     @property
     def architecture(self) -> str:
-        """Name of the architecture that it was made for."""
         return self.metadata.get("architecture", "sd-turbo")
 
     @property

@@ -53,7 +53,6 @@ class EarlyWarning:
         self._recent: deque[Mapping[str, float]] = deque(maxlen=_WINDOW)
 
     def add(self, losses: Mapping[str, float]) -> None:
-        """Take in the losses of an iteration."""
         self._recent.append(losses)
 
     def verdict(self, step: int) -> Verdict:

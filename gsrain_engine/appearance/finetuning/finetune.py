@@ -102,7 +102,6 @@ class _Learning:
         write_finetuning(task.config, task.settings)
 
     def learn(self) -> Generator[Progress]:
-        """Do the iterations that remain."""
         settings = self._settings
         with LossLog(self._task.output, self._first) as log:
             for row in log.kept[-_RECENT:]:
@@ -136,7 +135,6 @@ class _Learning:
             raise MemoryError(f"too little memory for this training: {spare}smaller pictures ({error})") from None
 
     def result(self) -> TrainingResult:
-        """Say what came of it."""
         recent = read_losses(self._task.losses)[-_RECENT:]
         names = [name for name in recent[-1] if name != "step"]
         verdict = self._warning.verdict(self._settings.steps)

@@ -57,7 +57,6 @@ class LossLog:
                 self._board.add_scalar(name.replace("_", "/", 1), value, step)
 
     def show(self, step: int, grid: UInt8[np.ndarray, "h w 3"]) -> None:
-        """Note a grid of samples."""
         if self._board is not None:
             self._board.add_image("samples", grid, step, dataformats="HWC")
 
@@ -75,7 +74,6 @@ class LossLog:
 
 
 def _write_rows(stream: TextIO, rows: Sequence[Mapping[str, float]]) -> "csv.DictWriter[str]":
-    """Write a header and rows; returns what writes more of them."""
     writer = csv.DictWriter(stream, list(rows[0]))
     writer.writeheader()
     writer.writerows(_in_words(row) for row in rows)

@@ -40,7 +40,6 @@ class NamedOptimizer:
         )
 
     def begin(self) -> None:
-        """Forget the gradients."""
         self._adam.zero_grad(set_to_none=True)
 
     def step(self, iteration: int) -> float:

@@ -36,7 +36,6 @@ class PictureOrder:
         self._seed, self._guided, self._device = seed, guided, device
 
     def pair(self, iteration: int) -> Pair:
-        """Read the two pictures of an iteration."""
         clear, clear_guide = self.read(self._chosen(self.pictures.source, iteration, 0))
         rainy, rainy_guide = self.read(self._chosen(self.pictures.target, iteration, 1))
         return Pair(clear, rainy, clear_guide, rainy_guide)

@@ -52,7 +52,6 @@ def finetuning_help(name: str) -> str:
 
 
 def finetuning_names() -> list[str]:
-    """Names of the shipped settings."""
     return shipped_names(_FOLDER)
 
 

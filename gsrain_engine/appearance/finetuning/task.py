@@ -17,7 +17,6 @@ def with_warning(message: str, warning: str | None) -> str:
 
 
 def warning_in(message: str) -> str | None:
-    """The warning that a message ends with."""
     return message.partition(_WARNING)[2] or None
 
 
@@ -39,7 +38,6 @@ class TrainingTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     @property
     def checkpoint(self) -> Path:
-        """What a stopped training goes on from."""
         return self.output / "checkpoint.safetensors"
 
     @property

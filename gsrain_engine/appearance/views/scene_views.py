@@ -38,7 +38,6 @@ def scene_views(scene: Scene, placed: Sequence[PlacedCamera], width_px: int | No
 
 
 def scene_view(scene: Scene, placed: PlacedCamera) -> ClearView:
-    """Draw one view of a scene."""
     camera, shown = placed.camera, _shown(scene, placed.time_s)
     view = view_weights(shown.parts, camera)
     own, colors = view.splats.indices, view.splats.colors

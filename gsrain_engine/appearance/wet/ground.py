@@ -49,7 +49,6 @@ class Ground:
     """How far the place lies under what is around it."""
 
     def of_rows(self, rows: slice) -> "Ground":
-        """Return some rows of the view."""
         maps = {name: getattr(self, name)[rows] for name in ("share", "above_m", "points_m", "normals", "sunk_m")}
         return replace(self, **maps)
 

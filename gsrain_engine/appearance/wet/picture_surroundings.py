@@ -36,7 +36,6 @@ class PictureSurroundings:
         self._recent_ground = lru_cache(maxsize=2)(_ground)
 
     def ground(self, view: ClearView) -> Ground | None:
-        """Find the ground in a view by its depth; None where it shows none."""
         return self._recent_ground(view)
 
     def mirrored(self, view: ClearView, ground: Ground) -> Mirrored:
@@ -84,10 +83,7 @@ def _mean_sky(view: ClearView) -> Float32[np.ndarray, "3"]:
 
 
 def _near_edge(
-    rays: Float64[np.ndarray, "h w 3"],
-    view: ClearView,
-    rows: np.ndarray,
-    columns: np.ndarray,
+    rays: Float64[np.ndarray, "h w 3"], view: ClearView, rows: np.ndarray, columns: np.ndarray
 ) -> Float32[np.ndarray, "h w"]:
     """1 where a direction is that of the picture's edge at the given pixel, falling to 0 at `_FADE` from it."""
     at_edge = view_rays(view.camera)[rows, columns]

@@ -47,7 +47,6 @@ class SceneSurroundings:
         self._recent_ground = lru_cache(maxsize=2)(self._ground)
 
     def ground(self, view: ClearView) -> Ground | None:
-        """Find the ground in a view by the scene's height map; None where it shows none."""
         return self._recent_ground(view)
 
     def _ground(self, view: ClearView) -> Ground | None:

@@ -37,7 +37,6 @@ class WetTransfer:
 
     @property
     def name(self) -> str:
-        """As in `gsrain transfer --method`."""
         return "wet"
 
     def light_of(self, views: Sequence[ClearView]) -> SceneLight:

@@ -24,7 +24,6 @@ def read_json(file: Path) -> Any:
 
 
 def read_json_object(file: Path) -> dict[str, Any]:
-    """Read a JSON file that holds one object."""
     values = read_json(file)
     if not isinstance(values, dict):
         raise CaptureError(f"{file}: holds {type(values).__name__}, expected a JSON object")
@@ -32,7 +31,6 @@ def read_json_object(file: Path) -> dict[str, Any]:
 
 
 def read_json_rows(file: Path) -> list[dict[str, Any]]:
-    """Read a JSON file that holds a list of objects."""
     rows = read_json(file)
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise CaptureError(f"{file}: expected a JSON list of objects")

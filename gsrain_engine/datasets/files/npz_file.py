@@ -37,7 +37,6 @@ def read_npz(file: Path, key: str) -> np.ndarray[Any, np.dtype[Any]]:
 
 
 def _array(file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray[Any, np.dtype[Any]]:
-    """Read an array that is of a size that a capture has."""
     if member.file_size > _MOST_BYTES:
         raise CaptureError(f"{file}: the array {member.filename!r} is larger than {_MOST_BYTES >> 20} MB")
     check_expansion(file, member.file_size, file.stat().st_size)

@@ -52,7 +52,6 @@ _EXIF_ORIENTATION, _SIDEWAYS = 0x0112, (5, 6, 7, 8)
 
 
 def is_picture(path: Path) -> bool:
-    """Whether a name is that of a picture."""
     return path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
 
 

@@ -54,7 +54,6 @@ def pixels_inside(
 
 
 def nearest_sweep(view: View, sweeps: Sequence[Sweep]) -> Sweep | None:
-    """Return the sweep whose time is nearest to that of a view."""
     return min(sweeps, key=lambda sweep: abs(sweep.time_s - view.time_s), default=None)
 
 

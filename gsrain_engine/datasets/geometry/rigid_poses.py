@@ -17,7 +17,6 @@ _NOT_RIGID, _FARTHEST_M = 1e-2, 1e9
 
 
 def rigid(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
-    """Pose of a rotation matrix and a translation."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, translation
     return matrix
@@ -62,7 +61,6 @@ def rigid_from_numbers(values: Any) -> Float64[np.ndarray, "4 4"]:
 
 
 def inverse(pose: Float[np.ndarray, "*n 4 4"]) -> Float64[np.ndarray, "*n 4 4"]:
-    """Return the poses backwards, exactly rigid."""
     rotation = np.swapaxes(pose[..., :3, :3], -1, -2)
     matrix = np.zeros(pose.shape)
     matrix[..., :3, :3] = rotation
@@ -73,7 +71,6 @@ def inverse(pose: Float[np.ndarray, "*n 4 4"]) -> Float64[np.ndarray, "*n 4 4"]:
 
 @np.errstate(over="ignore", invalid="ignore")  # what is no number stays none, and is refused by who takes the points
 def transformed(pose: Float[np.ndarray, "4 4"], points_m: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
-    """Return the points in the frame that the pose leads to."""
     return points_m @ pose[:3, :3].T + pose[:3, 3]
 
 

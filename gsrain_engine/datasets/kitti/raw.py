@@ -16,15 +16,7 @@ from ..files.picture_file import pictures_in
 from ..geometry.box_tracks import BoxSample
 from ..geometry.rigid_poses import inverse, rigid_from_numbers, transformed
 from ..named_problems import some_names
-from .calibration import (
-    IMU_HEIGHT_M,
-    Calibration,
-    KittiCamera,
-    numbers_of,
-    read_calibration,
-    read_text,
-    read_velodyne,
-)
+from .calibration import IMU_HEIGHT_M, Calibration, KittiCamera, numbers_of, read_calibration, read_text, read_velodyne
 from .oxts import OxtsRecord, oxts_poses, read_oxts
 from .tracklets import read_tracklets
 

@@ -61,7 +61,6 @@ def read_nuscenes_infos(path: Path) -> Capture:
 
 
 def _drives(infos: list[Info]) -> list[list[Info]]:
-    """Split where time jumps."""
     drives: list[list[Info]] = []
     for info in infos:
         if drives and 0 <= info.time_s - drives[-1][-1].time_s < _NEXT_DRIVE_S:

@@ -136,7 +136,6 @@ class _Scene:
         self.record.problems.append(f"{each.filename} left out: {why}")
 
     def _sensor(self, each: SampleData) -> tuple[str, str] | None:
-        """Channel and modality."""
         calibrated = self.tables.calibrated_sensors.get(each.calibrated_sensor_token)
         sensor = self.tables.sensors.get(calibrated.sensor_token) if calibrated else None
         if sensor is None:

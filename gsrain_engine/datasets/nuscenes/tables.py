@@ -104,7 +104,6 @@ class NuScenesTables:
 
     @cached_property
     def scenes(self) -> dict[str, Scene]:
-        """By token, as all below."""
         return self._rows("scene", Scene)
 
     @cached_property
@@ -114,22 +113,18 @@ class NuScenesTables:
 
     @cached_property
     def sample_data(self) -> dict[str, SampleData]:
-        """Files of sensors."""
         return self._rows("sample_data", SampleData)
 
     @cached_property
     def ego_poses(self) -> dict[str, Placed]:
-        """One for each file."""
         return self._rows("ego_pose", Placed)
 
     @cached_property
     def calibrated_sensors(self) -> dict[str, CalibratedSensor]:
-        """Sensors of each vehicle and day."""
         return self._rows("calibrated_sensor", CalibratedSensor)
 
     @cached_property
     def sensors(self) -> dict[str, Sensor]:
-        """Names."""
         return self._rows("sensor", Sensor)
 
     def read_poses(self) -> None:
@@ -143,7 +138,6 @@ class NuScenesTables:
 
     @cached_property
     def class_names(self) -> dict[str, str]:
-        """Of instances."""
         categories = self._rows("category", Category)
         instances = self._rows("instance", Instance)
         return {

@@ -28,7 +28,6 @@ class KnownDepth:
         return float(np.median(known)) if len(known) else 0.0
 
     def of(self, indices: Iterable[int]) -> "KnownDepth":
-        """Return that of some views."""
         chosen = list(indices)
         return KnownDepth(*(tuple(all_[i] for i in chosen) for all_ in (self.measured, self.completed, self.skies)))
 

@@ -178,7 +178,6 @@ class _Rest(NamedTuple):
 
     @classmethod
     def of(cls, lab: Float32[np.ndarray, "n 3"]) -> "_Rest":
-        """Tell it from its colours."""
         if not len(lab):
             return cls(0.0, 0.0)
         return cls(float(np.quantile(lab[:, 0], 0.9)), min(float(np.median(lab[:, 2])), 0.0))
@@ -326,9 +325,7 @@ def _color_bins(image: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
 
 
 def _likely_colors(
-    bins: Sequence[np.ndarray],
-    guesses: Sequence[Bool[np.ndarray, "_ _"]],
-    above: Sequence[Bool[np.ndarray, "_ _"]],
+    bins: Sequence[np.ndarray], guesses: Sequence[Bool[np.ndarray, "_ _"]], above: Sequence[Bool[np.ndarray, "_ _"]]
 ) -> Bool[np.ndarray, " b"] | None:
     """Which colours are the sky's rather than those of what else is above the horizon; None where no sky was found."""
     count = _BINS**3

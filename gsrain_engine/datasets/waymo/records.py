@@ -25,7 +25,6 @@ _SUFFIXES = (".tfrecord", ".tfrecords")
 
 
 def recognizes_waymo_records(path: Path) -> bool:
-    """Whether a path is a .tfrecord, or a folder with one."""
     return path.suffix in _SUFFIXES if path.is_file() else bool(_files_in(path))
 
 

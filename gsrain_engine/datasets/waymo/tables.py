@@ -59,7 +59,6 @@ def read_waymo_tables(path: Path) -> Capture:
 
 
 def _roots(folder: Path) -> list[Path]:
-    """Folders with components."""
     if (folder / "camera_image").is_dir():
         return [folder]
     return sorted(each.parent for each in folder.glob("*/camera_image") if each.is_dir()) if folder.is_dir() else []
@@ -99,7 +98,6 @@ class _Segment:
         return ParquetFile(self.root / component / f"{self.segment}.parquet")
 
     def _optional(self, what: str, read: Callable[[], Value]) -> Value | None:
-        """Read what a download may lack."""
         try:
             return read()
         except CaptureError as error:

@@ -45,14 +45,12 @@ class CameraIDMAgent:
     needs = Needs(cameras=("front",))
 
     def __init__(self, detector: Sees) -> None:
-        """See by a detector."""
         self._detector = detector
         self._vehicle = Vehicle()
         self._planner: IDMPlanner | None = None
         self._watch, self._time_s = LeadWatch(), 0.0
 
     def reset(self, seed: int, rig: Rig) -> None:
-        """Begin a drive."""
         self._vehicle, self._planner = rig.vehicle, None
         self._watch, self._time_s = LeadWatch(), 0.0
 
@@ -89,7 +87,6 @@ class CameraIDMAgent:
 
 
 def _front(observation: Observation) -> CameraView:
-    """The one picture that was asked for."""
     if len(observation.views) != 1:
         raise ValueError(f"camera-idm sees by one front camera; it was shown {len(observation.views)} pictures")
     return next(iter(observation.views.values()))

@@ -18,7 +18,6 @@ class ConstantVelocityAgent:
         """Begin a drive."""
 
     def plan(self, observation: Observation) -> Plan:
-        """Return points along the route at the present speed."""
         state = observation.state
         along = observation.route.nearest(state.x_m, state.y_m).along_m
         distances = along + state.speed_m_s * SPACING_S * np.arange(1, _POINTS + 1)

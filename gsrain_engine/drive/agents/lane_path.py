@@ -37,7 +37,6 @@ class LanePath:
 
     @classmethod
     def of(cls, state: VehicleState, route: Route) -> "LanePath":
-        """Return the path of a vehicle along its route."""
         on_route = route.nearest(state.x_m, state.y_m)
         return cls(state, route, on_route.along_m, on_route.left_m)
 

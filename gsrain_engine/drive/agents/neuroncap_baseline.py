@@ -22,12 +22,10 @@ class NeuroNCAPBaselineAgent:
     needs = Needs()
 
     def __init__(self) -> None:
-        """Make ready."""
         self._onward = ConstantVelocityAgent()
         self._length_m: float | None = None
 
     def reset(self, seed: int, rig: Rig) -> None:
-        """Begin a drive."""
         self._onward.reset(seed, rig)
         self._length_m = None
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from jaxtyping import Float64
 
 from gsrain_engine.scene.scene import RigCamera
 
@@ -27,7 +26,7 @@ def neuroncap_message(observation: Observation, rig: Rig) -> bytes:
     shown = [each for each in rig.cameras if each.name in observation.views]
     message = {
         "images": pictures,
-        "ego2world": _ego_to_world(observation).tolist(),
+        "ego2world": observation.state.rig_to_world(0.0).tolist(),
         "canbus": can_bus(observation, rig),
         "timestamp": round(1e6 * observation.time_s),
         "command": COMMANDS.index(observation.command),
@@ -51,10 +50,6 @@ def can_bus(observation: Observation, rig: Rig) -> list[float]:
         0.0, 0.0, turning, state.speed_m_s, 0.0, 0.0,
     )  # fmt: skip
     return [float(each) for each in signals]
-
-
-def _ego_to_world(observation: Observation) -> Float64[np.ndarray, "4 4"]:
-    return observation.state.rig_to_world(0.0)
 
 
 def _calibration(cameras: list[RigCamera], rig: Rig) -> dict[str, Any]:

@@ -24,12 +24,10 @@ class OracleIDMAgent:
     needs = Needs()
 
     def __init__(self) -> None:
-        """Make ready."""
         self._planner: IDMPlanner | None = None
         self._vehicle = Vehicle()
 
     def reset(self, seed: int, rig: Rig) -> None:
-        """Begin a drive."""
         self._planner, self._vehicle = None, rig.vehicle
 
     def plan(self, observation: Observation) -> Plan:

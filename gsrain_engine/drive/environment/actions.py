@@ -26,7 +26,6 @@ def plan_space() -> spaces.Box:
 
 
 def control_of(action: Float64[np.ndarray, "2"], vehicle: Vehicle) -> Control:
-    """Return the control that an action asks of a vehicle."""
     pedal, wheel = (float(each) for each in np.clip(action, -1.0, 1.0))
     most = vehicle.most_acceleration_m_s2 if pedal > 0 else vehicle.most_braking_m_s2
     return Control(pedal * most, wheel * vehicle.most_steer_rate_rad_s)

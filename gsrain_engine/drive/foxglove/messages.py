@@ -34,7 +34,6 @@ def stamp(time_s: float) -> Message:
 
 
 def nanoseconds_of(time_s: float) -> int:
-    """Return a time in whole nanoseconds."""
     return round(time_s * 1e9)
 
 
@@ -95,7 +94,6 @@ def route_update(step: RolloutStep, points: Float64[np.ndarray, "n 2"]) -> Messa
 
 
 def log_message(time_s: float, level: int, text: str) -> Message:
-    """Return a line of the log."""
     return {"timestamp": stamp(time_s), "level": level, "message": text, "name": "gsrain", "file": "", "line": 0}
 
 
@@ -142,10 +140,7 @@ def _road_user(step: RolloutStep, user: UserRecord, model: UserModel) -> Message
         "pose": {"position": above, "orientation": _turn(0.0)}, "billboard": True, "font_size": 0.7,
         "scale_invariant": False, "color": _color((1.0, 1.0, 1.0, 1.0)), "text": user.id,
     }  # fmt: skip
-    about = [
-        {"key": "class", "value": model.class_name},
-        {"key": "speed_m_s", "value": f"{user.speed_m_s:.3f}"},
-    ]
+    about = [{"key": "class", "value": model.class_name}, {"key": "speed_m_s", "value": f"{user.speed_m_s:.3f}"}]
     return {**_entity(step, user.id, WORLD, cubes=[cube], texts=[text]), "metadata": about}
 
 

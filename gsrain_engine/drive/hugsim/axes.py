@@ -69,7 +69,6 @@ class HugsimWorld:
 
 
 def wrapped(angle_rad: float) -> float:
-    """Return the same angle in -pi..pi."""
     return float(np.arctan2(np.sin(angle_rad), np.cos(angle_rad)))
 
 

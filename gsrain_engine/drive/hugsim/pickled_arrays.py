@@ -16,7 +16,6 @@ class PickledType:
     __slots__ = ("_order", "_spec")
 
     def __init__(self, spec: Any, *_: Any) -> None:
-        """Take what the pickle says; it is looked at later."""
         self._spec, self._order = text(spec), ""
 
     def __setstate__(self, state: Any) -> None:
@@ -37,7 +36,6 @@ class PickledArray:
     __slots__ = ("_dtype", "_fortran", "_raw", "_shape")
 
     def __init__(self, shape: Any = (), dtype: Any = None, raw: Any = b"", fortran: Any = False) -> None:
-        """Take what the pickle says; it is looked at later."""
         self._shape, self._dtype, self._raw, self._fortran = shape, dtype, raw, fortran
 
     def __setstate__(self, state: Any) -> None:

@@ -86,7 +86,6 @@ def _every_second(rollout: Rollout) -> list[RolloutStep]:
 
 
 def _view(rollout: Rollout) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:
-    """Return the corners of what there is to see."""
     start = VehicleState(*ego_pose(rollout.steps[0].ego))
     boxes = [_own_box(rollout, step) for step in rollout.steps]
     boxes += [box for step in rollout.steps for box in user_boxes(step.road_users, rollout.users)]
@@ -155,7 +154,6 @@ def _name_users(axes: Axes, rollout: Rollout, start: VehicleState) -> None:
 
 
 def _mark_collision(axes: Axes, rollout: Rollout, start: VehicleState) -> str:
-    """Mark where they met; returns the words for it."""
     hit = next((each for each in rollout.steps if each.collision is not None), None)
     if hit is None:
         return ""

@@ -43,7 +43,6 @@ class WeatherRuns:
 
     @property
     def collisions(self) -> int:
-        """Runs that ended in a collision."""
         return sum(run.metrics.collision for run in self.runs)
 
     def mean(self, metric: str, without_collision: bool = False) -> MeanInterval | None:
@@ -68,12 +67,10 @@ class Comparison:
 
     @property
     def title(self) -> str:
-        """What figures call it."""
         return f"{self.scenario}, {self.agent}"
 
     @property
     def runs(self) -> tuple[Run, ...]:
-        """All runs, weather by weather."""
         return tuple(run for weather in self.weathers for run in weather.runs)
 
 

@@ -15,7 +15,6 @@ class LoggedTraffic:
     """Boxes of the road users over the time of a roll-out."""
 
     def __init__(self, rollout: Rollout) -> None:
-        """Read them from a roll-out."""
         self._times = np.array([each.time_s for each in rollout.steps])
         self._records = [each.road_users for each in rollout.steps]
         self._users = rollout.users

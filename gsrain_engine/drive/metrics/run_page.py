@@ -42,10 +42,7 @@ def drive_report(
         title="Driving in rain: " + ", ".join(dict.fromkeys(each.scenario for each in comparisons)),
         settings={**(settings or {}), **_facts(runs, rollouts)},
         figures=tuple(figure for each in comparisons for figure in _figures(each, (routes or {}).get(each.scene))),
-        tables=(
-            ReportTable("Results", table.columns, table.rows, definitions=table.definitions),
-            _runs_table(runs),
-        ),
+        tables=(ReportTable("Results", table.columns, table.rows, definitions=table.definitions), _runs_table(runs)),
         headlines=_headlines(runs),
         notes=notes,
         held_out=False,

@@ -24,7 +24,6 @@ class ResultsTable:
 
     @property
     def markdown(self) -> str:
-        """The table and its definitions, as Markdown."""
         rule = ["---" if each in _WORDS else "---:" for each in self.columns]
         lines = [self.columns, rule, *self.rows]
         table = "\n".join("| " + " | ".join(_plain(cell) for cell in line) + " |" for line in lines)

@@ -76,7 +76,6 @@ class DriveVideo:
         return len(np.arange(0.0, self._played.end_s, 1 / fps)) + 1 + round(fps)
 
     def picture(self, time_s: float) -> Picture:
-        """Draw a moment."""
         seen = self._seen(time_s)
         above = self._above(time_s, seen.shape[1])
         told = self._told(time_s, seen.shape[1])
@@ -102,7 +101,6 @@ class DriveVideo:
         return picture
 
     def _told(self, time_s: float, width: int) -> Picture:
-        """Write figures of the moment."""
         played, step = self._played, self._played.step(time_s)
         state = played.state(time_s)
         at = step.step - played.rollout.steps[0].step
@@ -251,7 +249,6 @@ class _Plan:
         self.picture = np.array(image)
 
     def _pixels(self, points: Float64[np.ndarray, "n 2"]) -> np.ndarray:
-        """Sixteenths of a pixel."""
         local = (points - self._origin) @ self._turn.T
         across = self.picture.shape[0] / 2 - local[:, 1] * self._scale
         return np.round(16 * np.stack([(local[:, 0] + _BEHIND_M) * self._scale, across], axis=1)).astype(np.int32)

@@ -42,7 +42,6 @@ class PlayedRollout:
 
     @property
     def end_s(self) -> float:
-        """When it ends."""
         return self._times[-1]
 
     def step(self, time_s: float) -> RolloutStep:
@@ -50,7 +49,6 @@ class PlayedRollout:
         return self.rollout.steps[max(bisect_right(self._times, time_s) - 1, 0)]
 
     def state(self, time_s: float) -> VehicleState:
-        """Return how the ego vehicle moves at a moment."""
         before, after, part = self._around(time_s)
         a, b = before.ego, after.ego
         return VehicleState(
@@ -80,7 +78,6 @@ class PlayedRollout:
         return self.state(time_s).rig_to_world(_mixed(before.ego.z_m, after.ego.z_m, part) + self.rig.height_m)
 
     def scene(self, time_s: float) -> Scene:
-        """Return the scene with everybody where they are."""
         return self._road.at(self.rig_to_world(time_s), self.users(time_s))
 
     def scene_time_s(self, time_s: float) -> float:

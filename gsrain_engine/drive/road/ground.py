@@ -31,7 +31,6 @@ class Ground:
         return self.grid.at(x_m, y_m)
 
     def heights_m(self, places: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
-        """Heights at places."""
         return self.grid.at_all(places)
 
 

@@ -18,7 +18,6 @@ class HeightGrid:
 
     @staticmethod
     def level(height_m: float) -> "HeightGrid":
-        """The same height everywhere."""
         return HeightGrid((0.0, 0.0), 1.0, np.full((1, 1), float(height_m)))
 
     def at(self, x_m: float, y_m: float) -> float:
@@ -34,7 +33,6 @@ class HeightGrid:
         return float((1 - t) * near + t * far)
 
     def at_all(self, places: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
-        """Heights at places."""
         rows, columns = self.heights_m.shape
         u, v = np.clip((places - self.corner_m) / self.cell_m, 0.0, (columns - 1.0, rows - 1.0)).T
         i, j = u.astype(np.int64), v.astype(np.int64)

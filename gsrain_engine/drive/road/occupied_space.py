@@ -31,12 +31,10 @@ class OccupiedSpace:
 
     @property
     def places(self) -> Float64[np.ndarray, "n 2"]:
-        """Middles of the cells."""
         y = (self.keys + _SHIFT // 2) % _SHIFT - _SHIFT // 2
         return (np.stack([(self.keys - y) // _SHIFT, y], axis=1) + 0.5) * CELL_M
 
     def touches(self, box: PlanarBox) -> bool:
-        """Whether a box on the ground reaches into one of them."""
         return bool(self.holds(box.lattice(0.7 * CELL_M)).any())
 
     def holds(self, places: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:

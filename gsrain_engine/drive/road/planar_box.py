@@ -28,7 +28,6 @@ class PlanarBox:
 
     @cached_property
     def polygon(self) -> shapely.Polygon:
-        """The rectangle for shapely."""
         return shapely.Polygon(self.corners)
 
     def lattice(self, step_m: float) -> Float64[np.ndarray, "n 2"]:

@@ -41,7 +41,6 @@ class Route:
         return float(x), float(y), float(np.arctan2(forward[1], forward[0]))
 
     def nearest(self, x_m: float, y_m: float) -> OnRoute:
-        """Return where a place is on the route."""
         place = np.array([x_m, y_m])
         steps = np.diff(self.points, axis=0)
         lengths = np.linalg.norm(steps, axis=1)

@@ -40,7 +40,6 @@ class Slab(NamedTuple):
     high_m: float
 
     def above_m(self, places: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
-        """Heights of places above the ground."""
         return places[:, 2] - self.ground.at_all(places[:, :2])
 
 

@@ -15,7 +15,6 @@ _FOLDER = "scenarios"
 
 
 def scenario_names() -> list[str]:
-    """Names of the shipped scenarios."""
     return shipped_names(_FOLDER)
 
 

@@ -17,7 +17,6 @@ class Traffic:
     """The scenario's road users, and those of the scene's own actors that it keeps."""
 
     def __init__(self, scenario: Scenario, scene: Scene, route: Route, ground: Ground) -> None:
-        """Put everybody in place."""
         self._scenario, self._scene, self._route, self._ground = scenario, scene, route, ground
         self.looks: dict[str, UserLook] = {user.id: user_look(user.model, scene) for user in scenario.road_users}
         """Of the scenario's own road users, by id."""
@@ -29,7 +28,6 @@ class Traffic:
         self.reset()
 
     def reset(self) -> None:
-        """Put everybody where they begin."""
         self.everybody = ()
         self._rules, self._present = {}, {}
         for user in self._scenario.road_users:

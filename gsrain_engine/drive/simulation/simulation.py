@@ -256,5 +256,4 @@ def _with_seed(scenario: Scenario, seed: int) -> Scenario:
 
 
 def _plain(value: object) -> dict[str, Any]:
-    """Return a value as a file gives it back."""
     return msgspec.json.decode(msgspec.json.encode(value))

@@ -28,11 +28,9 @@ class DaskCluster:
 
     @property
     def workers(self) -> int:
-        """How many there are at the moment."""
         return len(cast(dict[str, int], self._client.nthreads()))
 
     def close(self) -> None:
-        """Leave the cluster; its workers stay."""
         self._client.close()
 
     def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[Outcome]:

@@ -23,8 +23,7 @@ class Jitter(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         0.0
     )
     speed_m_s: Annotated[
-        float,
-        Meta(ge=0, le=10, title="Speed", description="Of each road user that moves.", extra={"unit": "m/s"}),
+        float, Meta(ge=0, le=10, title="Speed", description="Of each road user that moves.", extra={"unit": "m/s"})
     ] = 0.0
 
 

@@ -78,11 +78,7 @@ class RenderJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True,
     @property
     def parameters(self) -> dict[str, Any]:
         """What its row says about it."""
-        return {
-            **_shared(self, "render"),
-            "intensity_mm_h": self.rain.intensity_mm_h,
-            "labels": self.labels,
-        }
+        return {**_shared(self, "render"), "intensity_mm_h": self.rain.intensity_mm_h, "labels": self.labels}
 
 
 Job = DriveJob | RenderJob

@@ -74,7 +74,6 @@ class _Crew:
                 yield outcome
 
     def close(self) -> None:
-        """End all workers, whatever they do."""
         for worker in self._busy.values():
             worker.close()
 

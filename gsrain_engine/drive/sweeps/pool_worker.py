@@ -44,12 +44,10 @@ class PoolWorker:
 
     @property
     def scene(self) -> str | None:
-        """The scene that it has opened."""
         return None if self._job is None else self._job.scene
 
     @property
     def exit_code(self) -> int | None:
-        """Of a process that is gone."""
         return self._process.exitcode
 
     def begin(self, job: Job) -> None:
@@ -69,7 +67,6 @@ class PoolWorker:
             return None
 
     def close(self) -> None:
-        """End it, whatever it does."""
         self.messages.close()
         self._process.kill()
         self._process.join()

@@ -6,7 +6,6 @@ _COMPUTED_WITH = ("numpy", "onnxruntime", "scipy", "shapely")
 
 
 def program_version() -> str:
-    """Return the version that jobs name."""
     return metadata.version("gsrain")
 
 

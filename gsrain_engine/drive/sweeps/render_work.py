@@ -80,7 +80,6 @@ def _viewpoint(job: RenderJob, scene: Scene) -> Camera | CameraPath:
 
 
 def _hash(folder: Path) -> str:
-    """Hash of all files of a clip with their names."""
     found = hashlib.sha256()
     files: Sequence[Path] = sorted(each for each in folder.rglob("*") if each.is_file())
     for file in files:

@@ -59,7 +59,6 @@ class Cell(Struct, frozen=True, kw_only=True):
 
     @property
     def group(self) -> Group:
-        """What it belongs to."""
         return Group(self.scene, self.scenario, self.agent)
 
 

@@ -43,7 +43,6 @@ class AgentChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
     @property
     def title(self) -> str:
-        """What tables call it."""
         return self.label or " ".join(
             [Path(self.name).name, *([] if self.detector is None else [Path(self.detector).stem])]
         )
@@ -108,7 +107,6 @@ def seeds_of(sweep: Sweep) -> tuple[int, ...]:
 
 
 def sweep_names() -> list[str]:
-    """Names of the shipped sweeps."""
     return shipped_names(_FOLDER)
 
 

@@ -59,7 +59,6 @@ def _sentence(error: Exception) -> str:
 
 
 def _is_full(error: BaseException | None) -> bool:
-    """Whether a full disk is at the bottom of an error."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in _FULL:
             return True

@@ -20,7 +20,6 @@ class InLane:
 
     @staticmethod
     def of(route: Route, user: RoadUser) -> "InLane":
-        """Find where a road user is."""
         on = route.nearest(user.x_m, user.y_m)
         heading = route.at(on.along_m)[2]
         return InLane(on.along_m, on.left_m, 1 if np.cos(user.yaw_rad - heading) >= 0 else -1)

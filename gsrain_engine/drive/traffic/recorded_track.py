@@ -17,7 +17,6 @@ class RecordedTrack:
     """Follows an actor's track; the scenario begins at `start_s` of the scene's time."""
 
     def __init__(self, scene: Scene, actor: Actor, start_s: float) -> None:
-        """Follow one actor."""
         self._scene, self._actor, self._start_s = scene, actor, start_s
 
     def start(self, placed: RoadUser) -> RoadUser | None:
@@ -25,7 +24,6 @@ class RecordedTrack:
         return self.at(0.0)
 
     def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
-        """Return where it was recorded at that time."""
         return self.at(around.time_s + dt_s)
 
     def at(self, time_s: float) -> RoadUser | None:

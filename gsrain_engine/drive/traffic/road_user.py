@@ -28,7 +28,6 @@ class RoadUser:
 
     @property
     def box(self) -> PlanarBox:
-        """Its box on the ground."""
         return PlanarBox(self.x_m, self.y_m, self.yaw_rad, self.size_lwh[0], self.size_lwh[1])
 
     @property

@@ -43,7 +43,6 @@ class Trigger:
     """Watches for the moment that a manoeuvre begins."""
 
     def __init__(self, settings: Triggered) -> None:
-        """Begin to watch."""
         self._settings = settings
         self._began_nearer: bool | None = None
         self.since_s: float | None = None

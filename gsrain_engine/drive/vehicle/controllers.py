@@ -14,5 +14,4 @@ _CONTROLLERS: dict[str, Callable[[ControllerSettings], Controller]] = {
 
 
 def open_controller(settings: ControllerSettings) -> Controller:
-    """Make the controller that settings ask for."""
     return _CONTROLLERS[settings.kind](settings)

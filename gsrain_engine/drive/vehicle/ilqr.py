@@ -41,7 +41,6 @@ class ILQRTracker:
     def control(
         self, vehicle: Vehicle, state: VehicleState, plan: Float64[np.ndarray, "n 2"], spacing_s: float
     ) -> Control:
-        """Return what to do now; see `Controller`."""
         if self._settings.heading_reference == "hugsim":
             return _first(self.inputs(vehicle, state, plan, spacing_s))
         braking = float(self._limits(vehicle)[0])

@@ -23,7 +23,6 @@ class PurePursuit:
     def control(
         self, vehicle: Vehicle, state: VehicleState, plan: Float64[np.ndarray, "n 2"], spacing_s: float
     ) -> Control:
-        """Return what to do now; see `Controller`."""
         points = np.concatenate([np.zeros((1, 2)), plan])
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         point = min(_SPEED_POINTS, len(plan))

@@ -18,7 +18,6 @@ _SLOWEST_M_S = 0.01
 @numba.njit(cache=True)
 @no_type_check
 def wrapped(angle):
-    """An angle in [-pi, pi)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 

@@ -52,7 +52,6 @@ class Untouched:
     name = CLEAR
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
-        """Pass views on, one by one."""
         for view in views:
             yield RainyView(view, view.image)
 
@@ -107,10 +106,7 @@ def record_of(method: ComparedMethod, source: ComparedSource, comparison: Compar
 
 
 def method_folder(
-    method: ComparedMethod,
-    source: ComparedSource,
-    comparison: Comparison,
-    output: Path,
+    method: ComparedMethod, source: ComparedSource, comparison: Comparison, output: Path
 ) -> Iterator[MethodFolder | int]:
     """Make a method's folder, or find it made: yields numbers of views done, and in the end the folder.
 

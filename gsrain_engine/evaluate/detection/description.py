@@ -41,11 +41,7 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
     ] = None
     input_size_px: Annotated[
         tuple[Size, Size] | None,
-        Meta(
-            title="Input",
-            description="Width and height; left out: those the ONNX file fixes.",
-            extra={"unit": "px"},
-        ),
+        Meta(title="Input", description="Width and height; left out: those the ONNX file fixes.", extra={"unit": "px"}),
     ] = None
     channels: Annotated[Literal["rgb", "bgr"], Meta(title="Order of the channels")] = "rgb"
     scale: Annotated[
@@ -104,7 +100,6 @@ def decode_names() -> tuple[str, ...]:
 
 
 def description_names() -> list[str]:
-    """Names of the shipped descriptions."""
     return shipped_names(_FOLDER)
 
 

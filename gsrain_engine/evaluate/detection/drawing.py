@@ -110,12 +110,7 @@ def _dashed(picture: np.ndarray, box: Sequence[float], color: Color, unit: float
 
 
 def _written(
-    picture: np.ndarray,
-    text: str,
-    box: Sequence[float],
-    color: Color,
-    unit: float,
-    plates: list[Plate],
+    picture: np.ndarray, text: str, box: Sequence[float], color: Color, unit: float, plates: list[Plate]
 ) -> None:
     """Write on a plate above the box; below it, then inside, where that is free of other plates and in the picture."""
     scale, thickness, pad = 0.5 * unit, max(1, round(unit)), max(2, round(4 * unit))

@@ -55,7 +55,6 @@ class Finished:
         self._stream: BinaryIO | None = None
 
     def __enter__(self) -> "Finished":
-        """Open the file for more."""
         self._stream = self._file.open("ab")
         return self
 
@@ -86,12 +85,10 @@ class Finished:
         return len(self._known)
 
     def known(self, detector: str, frame: JudgedFrame, trial: Trial) -> Judgement | None:
-        """The judgement of a picture, if it was made before."""
         found = self._known.get(_picture(self._key(detector, frame), trial))
         return None if found is None else replace(found, trial=trial)
 
     def keep(self, judgement: Judgement, frame: JudgedFrame) -> None:
-        """Write a judgement down."""
         assert self._stream is not None
         line = _Line(key=self._key(judgement.detector, frame), judgement=judgement)
         self._stream.write(msgspec.json.encode(line, enc_hook=_plain) + b"\n")

@@ -45,9 +45,7 @@ def scene_frames(renderer: Renderer, scene: Scene, placed: Sequence[PlacedCamera
         raise ValueError(f"scene {scene.name!r} has no actors to be found; --capture or --truth says what is there")
     return [
         JudgedFrame(
-            each.name,
-            shot_in(scene, each),
-            truth_from_scene(renderer, scene, objects, each.camera, each.time_s),
+            each.name, shot_in(scene, each), truth_from_scene(renderer, scene, objects, each.camera, each.time_s)
         )
         for each in placed
     ]

@@ -31,7 +31,6 @@ class Spread:
 
     @classmethod
     def of(cls, values: Iterable[float]) -> "Spread":
-        """Take values, one a seed."""
         taken = np.array(list(values), np.float64)
         return cls(float(taken.mean()), float(taken.min()), float(taken.max()))
 
@@ -47,7 +46,6 @@ class Change:
 
     @classmethod
     def of(cls, differences: Sequence[float]) -> "Change":
-        """Take differences, one a seed."""
         values, n = np.asarray(differences, np.float64), len(differences)
         if n < 2:
             return cls(float(values.mean()), float("nan"), float("nan"))

@@ -66,7 +66,6 @@ class JudgedPicture:
 
     @property
     def image(self) -> UInt8[np.ndarray, "h w 3"]:
-        """The picture."""
         return self.take()
 
 

@@ -29,7 +29,6 @@ class LabelledObject:
 
     @property
     def height_px(self) -> float:
-        """Height of its box."""
         return self.box_xyxy[3] - self.box_xyxy[1]
 
     @property

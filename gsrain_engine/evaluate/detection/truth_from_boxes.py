@@ -39,7 +39,6 @@ def truth_from_boxes(boxes: Sequence[TrackedBox], camera: Camera, time_s: float)
 
 
 def _distance(to_camera: Float64[np.ndarray, "4 4"], box: TrackedBox) -> float:
-    """From the camera to the middle of a box."""
     return float(np.linalg.norm(to_camera[:3, 3] + to_camera[:3, 2] * (box.size_lwh[2] / 2)))
 
 

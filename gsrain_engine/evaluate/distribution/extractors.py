@@ -30,7 +30,4 @@ def _inception(choice: ExtractorChoice) -> Extractor:
     return open_inception(choice)
 
 
-EXTRACTORS: dict[str, Callable[[ExtractorChoice], Extractor]] = {
-    "inception": _inception,
-    "pixels16": _pixels,
-}
+EXTRACTORS: dict[str, Callable[[ExtractorChoice], Extractor]] = {"inception": _inception, "pixels16": _pixels}

@@ -115,11 +115,7 @@ def _block_a(inward: int, pooled: int) -> _Block:
         "branch3x3dbl_3": _shape(96, 96, 3),
         "branch_pool": _shape(inward, pooled),
     }
-    branches = (
-        ("branch1x1",),
-        ("branch5x5_1", "branch5x5_2"),
-        ("branch3x3dbl_1", "branch3x3dbl_2", "branch3x3dbl_3"),
-    )
+    branches = (("branch1x1",), ("branch5x5_1", "branch5x5_2"), ("branch3x3dbl_1", "branch3x3dbl_2", "branch3x3dbl_3"))
     return _Block(convolutions, branches, "average")
 
 

@@ -12,12 +12,7 @@ from ..weight_file import hash_of
 from . import inception
 from .extractor import Extractor, ExtractorChoice
 from .frozen_network import filled
-from .network_weights import (
-    inception_weights,
-    inception_weights_file,
-    is_published_inception,
-    is_torchscript,
-)
+from .network_weights import inception_weights, inception_weights_file, is_published_inception, is_torchscript
 from .resizing import resized
 
 torch: Any = import_module("torch")

@@ -27,7 +27,6 @@ class DropEchoes(NamedTuple):
 
     @staticmethod
     def joined(*parts: "DropEchoes") -> "DropEchoes":
-        """Put echoes together."""
         return DropEchoes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 

@@ -92,10 +92,7 @@ def _even(low: float, high: float, count: int) -> tuple[float, ...]:
 
 SENSORS: dict[str, LidarSensor] = {
     "32": LidarSensor(
-        name="32 beams, 905 nm, 50 m at 10 %",
-        elevations_deg=_even(-30.67, 10.67, 32),
-        range_m=50.0,
-        farthest_m=100.0,
+        name="32 beams, 905 nm, 50 m at 10 %", elevations_deg=_even(-30.67, 10.67, 32), range_m=50.0, farthest_m=100.0
     ),
     "64": LidarSensor(
         name="64 beams, 905 nm, 80 m at 10 %",

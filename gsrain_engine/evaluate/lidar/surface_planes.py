@@ -40,7 +40,6 @@ class Surfaces:
 
     @classmethod
     def of(cls, scene: Scene, time_s: float) -> "Surfaces":
-        """Take a scene at a time."""
         members = [(each, scene.part(each, time_s)) for each in scene.members if each.visible]
         shown = [(member, part) for member, part in members if part is not None]
         sky = [np.full(len(p.gaussians), isinstance(m, Layer) and m.kind == "sky") for m, p in shown]

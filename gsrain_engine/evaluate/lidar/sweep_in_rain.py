@@ -57,7 +57,6 @@ class SweepInRain:
 
     @property
     def false_ranges_m(self) -> Float64[np.ndarray, " k"]:
-        """Ranges of the false returns."""
         return np.linalg.norm(self.sweep.points_m[self.is_false].astype(np.float64) - self.sweep.origin_m, axis=1)
 
 
@@ -162,8 +161,7 @@ def _answering_drops(
     simulated = span_in_box(beams, rainfall.rain.streak_region, anchor_to_world)
     seed = np.random.default_rng([rainfall.rain.seed, _moment(beams.time_s), 2]).integers(2**63)
     found = DropEchoes.joined(
-        field_echoes(field, beams, listened, signals),
-        far_echoes(beams, listened, simulated, signals, int(seed)),
+        field_echoes(field, beams, listened, signals), far_echoes(beams, listened, simulated, signals, int(seed))
     )
     strength = sensor.signal(found.ranges_m, found.reflectances, rainfall.state.extinction_per_m)
     first = {"strongest": -strength, "first": found.ranges_m, "last": -found.ranges_m}[answer]

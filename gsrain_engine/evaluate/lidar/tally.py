@@ -32,7 +32,6 @@ class Tally:
 
     @classmethod
     def of(cls, beams: Beams, rainy: SweepInRain, edges_m: tuple[float, ...] = RANGE_EDGES_M) -> "Tally":
-        """Count."""
         edges = np.array(edges_m)
 
         def count(fate: Fate) -> Int64[np.ndarray, " k"]:

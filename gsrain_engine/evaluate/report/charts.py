@@ -17,11 +17,7 @@ _STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 
 
 def chart(
-    x: Float64[np.ndarray, " n"],
-    y: Float64[np.ndarray, " n"],
-    x_title: str,
-    y_title: str,
-    is_logarithmic: bool = False,
+    x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"], x_title: str, y_title: str, is_logarithmic: bool = False
 ) -> Markup:
     """Draw y over x as an SVG element; points that are not finite are left out, as are those <= 0 on a log axis."""
     shown = np.isfinite(x) & np.isfinite(y) & ((y > 0) | (not is_logarithmic))
@@ -78,7 +74,6 @@ def _decade_ticks(low: float, high: float) -> list[float]:
 
 
 def number(value: float) -> str:
-    """Return a number in a few characters."""
     if value != 0 and abs(value) < 1e-3:
         return f"{value:.1e}".replace("e-0", "e-")
     if abs(value) >= 1e6:

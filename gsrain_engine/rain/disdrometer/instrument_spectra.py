@@ -87,7 +87,6 @@ def _kind(dataset: xr.Dataset, dimension: str) -> str:
 
 
 def _instrument(path: Path, dataset: xr.Dataset, axes: _Axes) -> Instrument:
-    """The instrument that has these classes."""
     sizes = (dataset.sizes[axes.diameter], dataset.sizes[axes.velocity])
     for instrument in (PARSIVEL, THIES):
         if sizes != instrument.shape:

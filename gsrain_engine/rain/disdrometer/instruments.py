@@ -52,7 +52,6 @@ class Instrument:
         reported_mm_h: Float64[np.ndarray, " records"],
         skipped: list[str],
     ) -> Reading:
-        """The same from arrays."""
         arranged, order = arrange(
             counts,
             written,

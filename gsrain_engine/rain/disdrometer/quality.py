@@ -43,7 +43,6 @@ class QualityReport:
 
     @property
     def lines(self) -> list[str]:
-        """The report as text, one mask a line."""
         drops = f"{self.drops_kept:.0f} of {self.drops:.0f} drops"
         records = f"{self.records_kept} of {self.records} records"
         return [f"{drops} and {records} are kept", *(_line(mask) for mask in self.masks)]
@@ -110,10 +109,7 @@ def keep_trusted(
 
 
 def _masks(
-    spectra: DropSpectra,
-    smallest_mm: float,
-    tolerance: float,
-    classes: Bool[np.ndarray, "diameters velocities"] | None,
+    spectra: DropSpectra, smallest_mm: float, tolerance: float, classes: Bool[np.ndarray, "diameters velocities"] | None
 ) -> Iterator[_Mask]:
     diameters = np.broadcast_to(spectra.diameters_mm[:, None], spectra.counts.shape[1:])
     yield _Mask("small drops", f"D < {smallest_mm:g} mm", diameters < smallest_mm)

@@ -113,7 +113,6 @@ def _scoring_step(
     observed: Float64[np.ndarray, "fits classes"],
     edges_mm: Float64[np.ndarray, " classes_and_one"],
 ) -> Float64[np.ndarray, "fits 2"]:
-    """Score over expected information."""
     slopes = np.stack(
         [(_log_shares(at + h, edges_mm) - _log_shares(at - h, edges_mm)) / (2 * _STEP) for h in _STEP * np.eye(2)],
         axis=2,

@@ -62,7 +62,6 @@ class RateCheck:
 
     @property
     def figures(self) -> str:
-        """Ratio and r."""
         return f"{self.ratio:.3f}, {_correlation(self.correlation)}"
 
     @property
@@ -218,7 +217,6 @@ class MeasuredFile:
     quality: QualityReport
 
     def measured(self) -> Measured:
-        """Sum up what is in it."""
         spectra = self.reading.spectra
         times = spectra.times[~np.isnat(spectra.times)].astype("datetime64[s]")
         reports = np.isfinite(spectra.reported_mm_h)

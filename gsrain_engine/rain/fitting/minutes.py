@@ -33,7 +33,6 @@ class Minutes:
 
     @staticmethod
     def concatenate(parts: "list[Minutes]") -> "Minutes":
-        """One after the other."""
         names = [field.name for field in fields(Minutes)]
         return Minutes(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 

@@ -47,7 +47,6 @@ def check_plot_name(path: Path) -> str:
 
 
 def draw_calibration(fitted: FittedCalibration) -> Figure:
-    """Draw all panels."""
     figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
     FigureCanvasAgg(figure)
     with_shape = fitted.axis_ratios is not None

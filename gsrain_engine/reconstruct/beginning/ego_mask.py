@@ -144,9 +144,7 @@ def _evidence(own: Sequence[_Small]) -> Float32[np.ndarray, "h w 2"]:
     return total / np.maximum(count, 1)
 
 
-def _contour(
-    evidence: Float32[np.ndarray, "h w 2"],
-) -> Float64[np.ndarray, " w"] | None:
+def _contour(evidence: Float32[np.ndarray, "h w 2"]) -> Float64[np.ndarray, " w"] | None:
     """First row of the ego in each column (the height where it is not in it); None without enough evidence."""
     color, edges = evidence[..., 0], np.maximum(evidence[..., 1], 0)
     height, width = color.shape

@@ -59,10 +59,7 @@ class Surfels:
 
 
 def surfels_of_view(
-    view: View,
-    depth: Float32[np.ndarray, "h w"],
-    stride: int,
-    wanted: Bool[np.ndarray, "rows columns"],
+    view: View, depth: Float32[np.ndarray, "h w"], stride: int, wanted: Bool[np.ndarray, "rows columns"]
 ) -> Surfels:
     """Make one disc for each wanted cell of stride x stride pixels that has a depth, in the cell's middle.
 

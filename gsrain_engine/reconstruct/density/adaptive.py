@@ -96,7 +96,6 @@ class AdaptiveDensity:
         return done or None
 
     def regularization(self, parameters: SplatParameters) -> Tensor | None:
-        """Nothing is added to the loss."""
         return None
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
@@ -104,7 +103,6 @@ class AdaptiveDensity:
         return {name: each.cpu().numpy().copy() for name, each in self._notes.items()}
 
     def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
-        """Go back to what `state` returned."""
         self._notes = {name: torch.tensor(each) for name, each in state.items()}
 
     def _change(self, step: int, parameters: SplatParameters, generator: Tensor) -> str:

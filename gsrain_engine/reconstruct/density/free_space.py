@@ -96,7 +96,6 @@ class ClearedDensity:
         self._control, self._free, self._last = control, free, steps - 1
 
     def observe(self, step: int, rendered: Any, rows: slice | Tensor = slice(None)) -> None:
-        """See the control that is inside."""
         self._control.observe(step, rendered, rows)
 
     def adapt(self, step: int, parameters: SplatParameters, generator: Tensor) -> str | None:
@@ -109,15 +108,12 @@ class ClearedDensity:
         return ", ".join([*([done] if done else []), f"{count} cleared away"]) if count else done
 
     def regularization(self, parameters: SplatParameters) -> Tensor | None:
-        """See the control that is inside."""
         return self._control.regularization(parameters)
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Return the notes of the control that is inside."""
         return self._control.state()
 
     def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
-        """Go back to what `state` returned."""
         self._control.restore(state)
 
 

@@ -64,7 +64,6 @@ class MonteCarloDensity:
         """Nothing is noted: opacity alone decides."""
 
     def adapt(self, step: int, parameters: SplatParameters, generator: Tensor) -> str | None:
-        """Shake at every step; relocate and add every so many."""
         s = self._settings
         done = None
         with torch.no_grad():

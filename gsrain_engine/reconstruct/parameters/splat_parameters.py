@@ -74,7 +74,6 @@ class SplatParameters:
 
     @property
     def device(self) -> Tensor:
-        """Where the tensors are."""
         return self.tensors["means"].device
 
     @property
@@ -105,7 +104,6 @@ class SplatParameters:
         return torch.cat([self.tensors["sh_dc"], self.tensors["sh_rest"][:, :rest]], dim=1)
 
     def zero_grad(self) -> None:
-        """Forget all gradients."""
         for each in self.tensors.values():
             each.grad = None
 

@@ -59,7 +59,6 @@ class Recolored:
 
     @property
     def weights_mb(self) -> float:
-        """Memory of all views' weights."""
         problem = self.setup.problem
         return sum(view.seen.weights.nbytes for view in (*problem.views, *problem.held_out)) / 1e6
 

@@ -107,6 +107,5 @@ def _rendered(parts: Sequence[_Moving], view: ProblemView) -> Rendered:
 
 
 def _product(turn: np.ndarray) -> Tensor:
-    """Matrix of the quaternion product turn * q."""
     w, x, y, z = turn.tolist()
     return torch.tensor([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])

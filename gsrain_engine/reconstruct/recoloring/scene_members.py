@@ -23,7 +23,6 @@ class Member:
 
     @property
     def rows(self) -> slice:
-        """Its rows among the Gaussians of all members."""
         return slice(self.first, self.first + len(self.gaussians))
 
 

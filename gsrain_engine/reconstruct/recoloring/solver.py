@@ -199,7 +199,6 @@ def _sloped(remainder, diagonal):
 @numba.njit(parallel=True, cache=True)
 @no_type_check
 def _pulled(image, direction, pull):
-    """Add pull * direction to image; return direction . image."""
     n, k = image.shape[:2]
     sums = np.zeros(_CHUNKS)
     for chunk in numba.prange(_CHUNKS):

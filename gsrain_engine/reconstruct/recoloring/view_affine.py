@@ -28,7 +28,6 @@ class ViewAffine:
     offsets: Float64[np.ndarray, "3"]
 
     def undone(self, picture: Float32[np.ndarray, "*p 3"]) -> Float32[np.ndarray, "*p 3"]:
-        """Colours of the scene in a picture."""
         shift = _MIDDLE - (self.offsets + _MIDDLE) / self.gains
         return picture * (1 / self.gains).astype(np.float32) + shift.astype(np.float32)
 

@@ -48,12 +48,10 @@ class StoredWeights:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays."""
         arrays = (self.rows, self.pair_starts, self.splats, self.piece_starts, self.places, self.weights)
         return sum(each.nbytes for each in arrays)
 
     def blend(self, colors: Float32[np.ndarray, "m 3"]) -> Float32[np.ndarray, "h w 3"]:
-        """W times colours of the splats: the premultiplied image."""
         image = np.empty((self.height, self.width, 3), np.float32)
         _blend(self.pair_starts, self.splats, self.piece_starts, self.places, self.weights, colors, image)
         return image
@@ -73,7 +71,6 @@ class StoredWeights:
         return self._by_splat(by_pair)
 
     def squared_sums(self, trust: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, " m"]:
-        """Diagonal of W transposed times trust times W: each splat's evidence."""
         by_pair = np.zeros((len(self.splats), 3), np.float32)
         _squares(self.pair_starts, self.piece_starts, self.places, self.weights, trust, by_pair)
         return self._by_splat(by_pair)[:, 0]
@@ -102,17 +99,14 @@ class WalkedWeights:
         return splats.shapes.nbytes + splats.colors.nbytes + splats.indices.nbytes + tiles.members.nbytes
 
     def blend(self, colors: Float32[np.ndarray, "m 3"]) -> Float32[np.ndarray, "h w 3"]:
-        """W times colours of the splats: the premultiplied image."""
         return self.view.blend(colors)
 
     def accumulate(self, image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "m 3"]:
-        """W transposed times an image."""
         return self.view.accumulate(image)
 
     def normal(
         self, colors: Float32[np.ndarray, "m 3"], trust: Float32[np.ndarray, "h w"]
     ) -> Float32[np.ndarray, "m 3"]:
-        """W transposed times trust times W times colours."""
         return self.view.accumulate(self.view.blend(colors) * trust[..., None])
 
     def squared_sums(self, trust: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, " m"]:

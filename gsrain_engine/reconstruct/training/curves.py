@@ -22,7 +22,6 @@ class TrainingCurves:
     """Their mean PSNR, as rendered."""
 
     def add(self, loss: float, count: int, seconds: float) -> None:
-        """Take in one step."""
         self.losses.append(loss)
         self.counts.append(count)
         self.seconds.append(seconds)
@@ -37,7 +36,6 @@ class TrainingCurves:
         return float(np.mean(self.losses[-steps:])) if self.losses else float("nan")
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Return the curves as arrays, for a checkpoint."""
         return {f"curves:{name}": np.array(values, np.float64) for name, values in vars(self).items()}
 
     @classmethod

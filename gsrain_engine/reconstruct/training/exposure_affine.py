@@ -50,7 +50,6 @@ class ExposureAffine:
         self.changes.grad = None
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Return everything that training goes on from, as arrays."""
         tensors = {"changes": self.changes, "first": self._first, "second": self._second}
         arrays = {name: each.detach().cpu().numpy().copy() for name, each in tensors.items()}
         return arrays | {"steps": np.array(self._steps)}

@@ -32,7 +32,6 @@ class Truth(NamedTuple):
 
     @classmethod
     def of(cls, level: Level, device: str) -> "Truth":
-        """Bring a level to a device."""
         mask = None if level.mask is None else torch.as_tensor(level.mask, device=device)
         hits, depths = torch.zeros(0, dtype=torch.int64, device=device), torch.zeros(0, device=device)
         if level.depth is not None:

@@ -41,7 +41,6 @@ def d_ssim(rendered: Tensor, truth: Tensor, mask: Tensor | None = None) -> Tenso
 
 
 def _means(x: Tensor, y: Tensor, weights: Tensor | None) -> tuple[Tensor, ...]:
-    """Window means of x, y, x x + y y and x y."""
     values = torch.cat([x, y, x * x + y * y, x * y], dim=2)
     if weights is None:
         return _blurred(values).split(3, dim=2)

@@ -75,7 +75,6 @@ class SplatModel:
         return sum(len(parameters) for _, parameters in self.parts)
 
     def zero_grad(self) -> None:
-        """Forget all gradients."""
         for _, parameters in self.parts:
             parameters.zero_grad()
 
@@ -122,7 +121,6 @@ class _Piece(NamedTuple):
 
 
 def _turned(turn: list[float], quaternions: Tensor) -> Tensor:
-    """Quaternions after a turn: the product turn * q."""
     w, x, y, z = turn
     rows = [[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]]
     return quaternions @ torch.tensor(rows, dtype=quaternions.dtype, device=quaternions.device).T

@@ -50,7 +50,6 @@ class Reconstruction:
 
     @property
     def learned(self) -> list[Score]:
-        """Scores of views that were learned from."""
         return [each.score for each in self.pictures if not each.is_held_out]
 
     @property

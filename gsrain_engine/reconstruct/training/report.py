@@ -18,7 +18,6 @@ _SMOOTHED_STEPS = 25
 
 
 def write_training_report(file: Path, result: Reconstruction) -> None:
-    """Write the report of a reconstruction as one HTML page."""
     shown = [each for each in result.pictures if each.is_held_out] or list(result.pictures)
     report = RunReport(
         f"Reconstruction of {result.capture.name}",

@@ -53,7 +53,6 @@ class Training:
         self._order = view_order(len(views), settings.steps, settings.seed)
 
     def step(self, number: int) -> Done:
-        """Learn from one view."""
         clock = _Clock(self.seconds_by_stage)
         settings, index = self.schedule.settings, self._order[number]
         view = self.views[index]

@@ -72,8 +72,7 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Same seed, same bytes.")] = 0
     rates: Annotated[LearningRates, Meta(title="Learning rates")] = LearningRates()
     haste: Annotated[
-        float,
-        Meta(ge=0.1, le=20, title="Haste", description="Multiplies the learning rates of a run that is short."),
+        float, Meta(ge=0.1, le=20, title="Haste", description="Multiplies the learning rates of a run that is short.")
     ] = 3.0
     d_ssim: Annotated[
         float, Meta(ge=0, le=1, title="D-SSIM", description="Share of structural dissimilarity in the loss; rest L1.")
@@ -128,8 +127,7 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         bool, Meta(title="Actors", description="Fit what moves as objects of their own; else it is left out.")
     ] = True
     measured_every: Annotated[
-        int,
-        Meta(ge=0, le=1_000_000, title="Measured every", description="Steps between looks at held-out views."),
+        int, Meta(ge=0, le=1_000_000, title="Measured every", description="Steps between looks at held-out views.")
     ] = 300
     saved_every: Annotated[
         int, Meta(ge=0, le=1_000_000, title="Saved every", description="Steps between checkpoints; 0: none.")
@@ -160,5 +158,4 @@ def help_of(name: str) -> str:
 
 
 def settings_names() -> list[str]:
-    """Names of the shipped settings."""
     return shipped_names(_FOLDER)

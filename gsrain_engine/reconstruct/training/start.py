@@ -74,7 +74,6 @@ class OwnBody:
 
     @property
     def line(self) -> str:
-        """The record in one line, for people."""
         if not self.searched:
             return f"not looked for ({self.reason})"
         found = [f"{name or 'the camera'} {100 * share:.0f} %" for name, share in self.shares.items()]
@@ -127,11 +126,7 @@ def start_training(
 
 
 def _model(
-    capture: Capture,
-    settings: TrainingSettings,
-    views: Sequence[View],
-    known: KnownDepth,
-    device: str,
+    capture: Capture, settings: TrainingSettings, views: Sequence[View], known: KnownDepth, device: str
 ) -> SplatModel:
     """First Gaussians of everything, from the views that are learned from."""
     budget = max(round(_INITIAL_SHARE * settings.gaussians), 1)

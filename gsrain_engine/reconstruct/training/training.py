@@ -74,13 +74,11 @@ class _Learning:
         self._shown_at = -np.inf
 
     def look_before(self) -> Generator[Progress]:
-        """Measure what it starts from."""
         yield Progress(_STARTED, "Measuring what it starts from")
         self._before = tuple(self._training.measure(view) for view in self._held)
         self._note(0, self._before[:_QUICK_VIEWS])
 
     def resume(self) -> Generator[Progress]:
-        """Go on from the checkpoint."""
         file = self._task.checkpoint
         yield Progress(_STARTED, f"Reading {file.name}")
         checkpoint = read_checkpoint(file, self._settings, self._task.fingerprint(self._capture))
@@ -94,7 +92,6 @@ class _Learning:
         self._began -= checkpoint.seconds
 
     def learn(self) -> Generator[Progress]:
-        """Do the steps that remain."""
         settings = self._settings
         for number in range(self._first, settings.steps):
             done = self._training.step(number)
@@ -177,6 +174,5 @@ def _is_due(every: int, number: int, steps: int) -> bool:
 
 
 def _spread(views: Sequence[TrainingView], count: int) -> list[TrainingView]:
-    """Some views, evenly spread over all."""
     chosen = np.unique(np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int))
     return [views[index] for index in chosen]

@@ -57,7 +57,6 @@ class SeenObject:
 
     @property
     def distance_m(self) -> float:
-        """From the camera to its middle."""
         return float(np.linalg.norm(self.center_m))
 
 

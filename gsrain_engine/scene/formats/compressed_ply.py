@@ -25,7 +25,6 @@ _SH_RANGE = 8.0
 
 
 def is_compressed(elements: dict[str, PlyElement]) -> bool:
-    """Whether a PLY header is that of a compressed PLY."""
     vertex = elements.get("vertex")
     return "chunk" in elements and vertex is not None and _PACKED[0] in _names(vertex.dtype)
 

@@ -36,6 +36,5 @@ def read_harmonics(path: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "n
 
 
 def write_harmonics(sh: Float32[np.ndarray, "n k 3"], path: Path) -> None:
-    """Write harmonics, little endian."""
     with path.open("wb") as file:
         np.lib.format.write_array(file, np.ascontiguousarray(sh, "<f4"), version=(1, 0), allow_pickle=False)

@@ -34,7 +34,6 @@ class PathRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def path_record(path: CameraPath) -> PathRecord:
-    """Plain values of a path."""
     columns = (path.times_s, path.positions, path.quaternions_wxyz, path.vertical_fov_deg)
     return PathRecord(
         keyframes=[

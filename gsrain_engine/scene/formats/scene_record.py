@@ -286,13 +286,5 @@ def _camera(record: CameraRecord, rig: str) -> RigCamera:
     if not _is_pose(matrix):
         raise ValueError(f"camera_to_ego of camera {record.name!r} must be a rotation and a place - at `$.rigs.{rig}`")
     return RigCamera(
-        record.name,
-        record.width,
-        record.height,
-        record.fx,
-        record.fy,
-        record.cx,
-        record.cy,
-        matrix,
-        record.exposure_s,
+        record.name, record.width, record.height, record.fx, record.fy, record.cx, record.cy, matrix, record.exposure_s
     )

@@ -21,7 +21,6 @@ class TrackRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 def track_record(track: Track) -> TrackRecord:
-    """Plain values of a track."""
     return TrackRecord(
         times=track.times.tolist(),
         positions=[(float(x), float(y), float(z)) for x, y, z in track.positions],

@@ -36,7 +36,6 @@ class PathSpeed:
 
     @property
     def fastest_km_h(self) -> float:
-        """Highest speed on the way."""
         return float(3.6 * self.speeds_m_s.max())
 
     @property
@@ -52,7 +51,6 @@ class PathSpeed:
 
     @property
     def implausible_spans(self) -> list[tuple[float, float]]:
-        """From when to when it is so."""
         edges = np.diff(np.concatenate([[False], self.implausible, [False]]).astype(np.int8))
         starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
         return [(float(self.times_s[a]), float(self.times_s[b])) for a, b in zip(starts, ends, strict=True)]

@@ -44,7 +44,6 @@ class StreetSurfaces:
 
     @property
     def light(self) -> Daylight:
-        """Light in the street."""
         return Daylight.over(self.layout.parameters, self.layout)
 
     @property
@@ -54,7 +53,6 @@ class StreetSurfaces:
 
 
 def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurfaces:
-    """Build all surfaces of the street."""
     layout = plan_street(parameters or StreetParameters())
     sun = Daylight.over(layout.parameters).sun
     layers = {

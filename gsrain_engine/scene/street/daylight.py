@@ -37,7 +37,6 @@ class Daylight:
 
     @classmethod
     def over(cls, parameters: StreetParameters, layout: StreetLayout | None = None) -> "Daylight":
-        """Take the sun from the parameters."""
         azimuth, elevation = np.radians(parameters.sun_azimuth_deg), np.radians(parameters.sun_elevation_deg)
         sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
         return cls(sun, layout, parameters.seed)

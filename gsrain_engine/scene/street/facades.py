@@ -25,10 +25,7 @@ def house_front(house: House) -> Quads:
     bay = house.width / bays
     trim = np.asarray(house.color) * 0.3 + np.array([0.42, 0.40, 0.36]) * 0.75
     frame = _FRAMES[int(rng.integers(len(_FRAMES)))]
-    wall = [
-        *_upper_floors(house, bays, bay, trim, frame, rng),
-        *_ground_floor(house, bays, bay, trim, frame, rng),
-    ]
+    wall = [*_upper_floors(house, bays, bay, trim, frame, rng), *_ground_floor(house, bays, bay, trim, frame, rng)]
     weathered = _weathered(Quads.joined(wall), house)
     return Quads.joined([weathered, *_cornices(house, trim), _drainpipe(house)])
 

@@ -41,7 +41,6 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     @property
     def end_x_m(self) -> float:
-        """Where the rows of houses end."""
         return self.length_m - self.behind_m
 
     @property

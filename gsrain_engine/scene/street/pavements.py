@@ -6,14 +6,7 @@ import numpy as np
 
 from .grids import even_lines, graded_lines, panel
 from .labels import Label
-from .layout import (
-    CROSS_LENGTH_M,
-    CROSS_PAVEMENT_M,
-    CROSS_ROAD_M,
-    HOUSE_DEPTH_M,
-    KERB_HEIGHT_M,
-    StreetLayout,
-)
+from .layout import CROSS_LENGTH_M, CROSS_PAVEMENT_M, CROSS_ROAD_M, HOUSE_DEPTH_M, KERB_HEIGHT_M, StreetLayout
 from .noise import lattice_noise, layered_noise
 from .parking import CROSSING_LENGTH_M
 from .quads import Quads

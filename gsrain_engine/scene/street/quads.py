@@ -43,7 +43,6 @@ class Quads:
 
     @property
     def centers(self) -> Float32[np.ndarray, "n 3"]:
-        """Mean of the corners."""
         return self.corners.mean(axis=1, dtype=np.float32)
 
     @classmethod

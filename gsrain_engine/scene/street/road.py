@@ -101,7 +101,6 @@ def _parking(layout: StreetLayout, x0: float, x1: float, side: int) -> Quads:
 
 
 def _painted(road: Quads, paint: Bool[np.ndarray, " n"]) -> Quads:
-    """Put white paint on the chosen cells."""
     return replace(
         road,
         albedo=np.where(paint[:, None], _PAINT, road.albedo).astype(np.float32),

@@ -41,12 +41,10 @@ class Standing:
 
 
 def standing_vehicles(layout: StreetLayout) -> tuple[Standing, ...]:
-    """All parked vehicles of a street."""
     return *(_car(each) for each in layout.cars), *(_truck(each) for each in layout.trucks)
 
 
 def _car(car: ParkedCar) -> Standing:
-    """A car: its body and its glass house."""
     form = CAR_FORMS[car.shape]
     half, w = 0.5 * form.length, 0.5 * form.width
     body = (-half, -w, 0.16), (half, w, form.hood[1] - 0.02)

@@ -23,7 +23,6 @@ _LEVELS = (_SILL_M, 0.46, 0.56, 0.66, 0.70, 0.80, 0.84, 0.92, 0.97, 1.13, 1.18, 
 
 
 def build_cab(form: TruckForm, paint: Color) -> Quads:
-    """Build a cab over its engine."""
     loop, face = _plan(form)
     rise = np.array([*_LEVELS, form.cab_height - 0.10, form.cab_height - 0.06, form.cab_height - 0.03])
     shell = _shell(form, loop, face, rise, paint)

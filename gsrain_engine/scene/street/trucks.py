@@ -23,7 +23,6 @@ def build_parked_trucks(layout: StreetLayout) -> Quads:
 
 
 def build_truck(truck: ParkedTruck) -> Quads:
-    """Build one truck in the object frame."""
     form = TRUCK_FORM
     parts = [build_cab(form, truck.cab), build_body(form, truck.body, truck.sign), build_chassis(form)]
     built = Quads.joined(parts)

@@ -36,7 +36,6 @@ class PreviewedView:
     recipe: Recipe
 
     def is_of(self, camera: Camera, time_s: float, scene: Scene) -> bool:
-        """Whether it shows what the viewport shows."""
         own = self.camera
         return (
             np.allclose(own.world_to_camera, camera.world_to_camera, atol=_SAME)

@@ -49,7 +49,6 @@ class RainyLook:
 
     @property
     def row(self) -> Method:
-        """The method in the table."""
         return method_of(self.method)
 
     @property
@@ -58,7 +57,6 @@ class RainyLook:
         return Recipe(self.method, self.settings)
 
     def change(self, **fields: object) -> None:
-        """Change settings of the transfer."""
         self.settings = msgspec.structs.replace(self.settings, **fields)
 
     # Whether
@@ -89,7 +87,6 @@ class RainyLook:
 
     @property
     def is_previewing(self) -> bool:
-        """Whether a preview is on its way."""
         return self._preview is not None and self._preview.state == "running"
 
     def preview(self, session: Desk) -> None:

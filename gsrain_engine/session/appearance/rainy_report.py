@@ -28,11 +28,9 @@ class KeptComparisons:
 
     @property
     def name(self) -> str:
-        """That of the other one."""
         return self._transfer.name
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
-        """Pass views on."""
         every = max(1, -(-len(views) // _COMPARED))
         started = time.perf_counter()
         for number, rainy in enumerate(self._transfer.transferred(views)):
@@ -44,7 +42,6 @@ class KeptComparisons:
             started = time.perf_counter()
 
     def report(self, scene: Scene, method: str) -> RunReport:
-        """Compare what was kept with the wet scene."""
         return RunReport(
             f"{scene.name} made rainy",
             {"method": method},
@@ -55,7 +52,6 @@ class KeptComparisons:
 
 
 def _compared(scene: Scene, rainy: RainyView) -> Comparison:
-    """Measure one view where the scene has something to show."""
     parts = [part._replace(colors=None) for part in scene.parts(rainy.clear.time_s, wetness=1.0)]
     renderer = CpuRenderer()
     renderer.draw(parts, rainy.clear.camera)

@@ -28,7 +28,6 @@ class RainyScene:
         self._scene, self._known, self._order = scene, known, order
 
     def prepare(self, folder: Path) -> Assignment:
-        """Write the scene for the worker."""
         copy = write_copy(self._scene, folder, self._known)
         return Assignment(make_rainy, (copy, self._order, folder / _COLORS, self.report))
 
@@ -37,7 +36,6 @@ class RainyScene:
         return None
 
     def load(self, folder: Path) -> Scene:
-        """Read the wet colours."""
         return with_colors(self._scene, read_recolored(folder / _COLORS))
 
     def staged(self, scene: Scene) -> StagedScene:

@@ -28,16 +28,14 @@ class TrainingChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         "tiny"
     )
     clear: Annotated[
-        Path | None,
-        Meta(title="Clear pictures", description="Folder or capture; none: those that the settings name."),
+        Path | None, Meta(title="Clear pictures", description="Folder or capture; none: those that the settings name.")
     ] = None
     rainy: Annotated[
         Path | None,
         Meta(title="Rainy pictures", description="Folder or capture, of other places; none: those of the settings."),
     ] = None
     output: Annotated[
-        Path | None,
-        Meta(title="Goes into", description="Folder for weights, checkpoint, losses and sample pictures."),
+        Path | None, Meta(title="Goes into", description="Folder for weights, checkpoint, losses and sample pictures.")
     ] = None
     steps: Annotated[
         int, Meta(ge=0, le=10_000_000, title="Steps", description="Iterations; 0: as many as the settings say.")

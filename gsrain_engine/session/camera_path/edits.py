@@ -70,7 +70,6 @@ def append_key(session: ViewedDocument) -> None:
 
 
 def update_key(session: ViewedDocument, key: int) -> None:
-    """Give a key what the view shows."""
     path = session.scene.path
     if path is not None:
         set_path(session, "Update camera key", with_key(path, float(path.times_s[key]), _seen(session)).path)
@@ -78,7 +77,6 @@ def update_key(session: ViewedDocument, key: int) -> None:
 
 
 def delete_key(session: ViewedDocument, key: int) -> None:
-    """Take a key away."""
     path = session.scene.path
     if path is not None:
         set_path(session, "Delete camera key", without_key(path, key))
@@ -201,7 +199,6 @@ def stretch_path(session: ViewedDocument, duration_s: float) -> None:
 
 
 def _seen(session: ViewedDocument) -> Camera:
-    """Camera of the view, in scene units and axes."""
     camera = session.shot(*_VIEW_SIZE).camera
     return camera.moved(np.linalg.inv(session.scene.scene_to_world))
 

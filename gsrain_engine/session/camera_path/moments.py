@@ -13,7 +13,6 @@ def set_span(session: ViewedDocument, is_start: bool, time_s: float) -> None:
 
 
 def on_frame(session: ViewedDocument, time_s: float) -> float:
-    """The frame of the film that is nearest to a moment."""
     return round(time_s * session.timeline.fps) / session.timeline.fps
 
 

@@ -95,7 +95,6 @@ class CaptureView:
         return self.busy is not None or (self.pictures is not None and self.pictures.is_reading)
 
     def poll(self, session: ViewedDocument) -> None:
-        """Take in what has been read."""
         if self._opening is not None and self._opening[1].done():
             (path, reading), self._opening = self._opening, None
             try:
@@ -113,7 +112,6 @@ class CaptureView:
             self.pictures.poll()
 
     def close(self) -> None:
-        """Wait for what is under way; nothing new begins."""
         self._thread.shutdown(cancel_futures=True)
 
     def _enter(self, path: Path, capture: Capture, points: ShownPoints | None) -> None:
@@ -129,7 +127,6 @@ class CaptureView:
 
     @property
     def view(self) -> View | None:
-        """The chosen one."""
         return None if self.capture is None else self.capture[min(self.chosen, len(self.capture) - 1)]
 
     @property
@@ -141,7 +138,6 @@ class CaptureView:
 
     @property
     def has_times(self) -> bool:
-        """Whether the views' times are known."""
         return self.capture is not None and any(view.time_s for view in self.capture)
 
     @property

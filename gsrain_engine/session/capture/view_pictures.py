@@ -49,7 +49,6 @@ class ViewPictures:
         return None
 
     def __iter__(self) -> Iterator[tuple[Wish, Pixels]]:
-        """Everything that is there."""
         return iter(self._kept.items())
 
     @property

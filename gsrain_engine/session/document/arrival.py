@@ -12,7 +12,6 @@ logger = logging.getLogger("gsrain")
 
 
 def bring_in(document: ViewedDocument, staged: StagedScene) -> None:
-    """Make a scene, or what is new in it, a step of the document."""
     is_present = document.history.gesture == staged.gesture
     if staged.goes_on and not is_present:
         return  # a person has gone on with something else

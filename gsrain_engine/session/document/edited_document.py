@@ -29,17 +29,14 @@ class EditedDocument:
         """A gesture that goes on, and the time at which it sets its keys."""
 
     def _follow_document(self) -> None:
-        """Go along with another document."""
         raise NotImplementedError
 
     @property
     def scene(self) -> Scene:
-        """The scene as it is now."""
         return self.history.present.scene
 
     @property
     def rain(self) -> Rain:
-        """The rain as it is now."""
         return self.history.present.rain
 
     def change_rain(self, label: str, gesture: str | None = None, **fields: object) -> None:
@@ -54,10 +51,6 @@ class EditedDocument:
         rain = msgspec.structs.replace(self.rain, **fields)
         weather = self.weather.with_key(at_s, **keyed) if keyed else self.weather
         self._go_to_rain(label, rain, weather, gesture)
-
-    def set_rain(self, label: str, rain: Rain, gesture: str | None = None) -> None:
-        """Go to another rain; drops in the air go on from where they are. Fields with keys go on from those."""
-        self._go_to_rain(label, rain, self.weather, gesture)
 
     @property
     def weather(self) -> Weather:
@@ -105,12 +98,10 @@ class EditedDocument:
         self.history.end_gesture()
 
     def undo(self) -> None:
-        """Step back."""
         self.history.undo()
         self._follow_document()
 
     def redo(self) -> None:
-        """Step forward."""
         self.history.redo()
         self._follow_document()
 

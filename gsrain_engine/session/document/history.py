@@ -32,12 +32,10 @@ class History:
 
     @property
     def cursor(self) -> int:
-        """The step that the document stands at."""
         return self._cursor
 
     @property
     def present(self) -> Document:
-        """The document as it is now."""
         return self._steps[self._cursor].document
 
     @property
@@ -80,7 +78,6 @@ class History:
         return self.present
 
     def go_to(self, step: int) -> Document:
-        """Step back or forward to a step."""
         self._cursor = min(max(step, 0), len(self._steps) - 1)
         return self.present
 

@@ -46,7 +46,6 @@ class DriveWishes(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     @property
     def options(self) -> AgentOptions:
-        """What the agent is opened with."""
         return AgentOptions(detector=self.detector, description=self.description, url=self.url)
 
     def rains(self, present: Rain) -> tuple[Rain, ...]:

@@ -74,7 +74,6 @@ class Drives:
         return self.wanted.why_not
 
     def start(self, session: Desk) -> None:
-        """Drive in the background, through the document as it is now."""
         why_not = self.why_not(session)
         if why_not is not None:
             session.problem = why_not

@@ -29,7 +29,6 @@ class DriveFilmJob(CopiedSceneJob):
     def __init__(
         self, scene: Scene, rollout: Rollout, film: Path, fps: float, files: ThreadPoolExecutor, known: KnownFiles
     ) -> None:
-        """Start; the scene is the document as it goes into files."""
         title = f"Film {film.name}"
         super().__init__(title, scene, known, files, partial(_started, title, rollout, film, fps))
         self._film = film

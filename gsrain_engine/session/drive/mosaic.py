@@ -33,7 +33,6 @@ class Mosaic:
         self.width_px = max(64, _WIDTH_STEP_PX * round(width_px / _WIDTH_STEP_PX))
 
     def cameras(self, scene: Scene) -> tuple[RigCamera, ...]:
-        """The cameras that the mosaic shows."""
         if not scene.rigs:
             return ()
         return scene.rigs.get(self.rig) or next(iter(scene.rigs.values()))

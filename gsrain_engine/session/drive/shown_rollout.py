@@ -67,7 +67,6 @@ class ShownRollout:
 
     @property
     def scenario(self) -> Scenario:
-        """The scenario as it was run."""
         return self.played.scenario
 
     @property

@@ -31,7 +31,6 @@ class WantedDrive:
 
     @cached_property
     def scenario_names(self) -> list[str]:
-        """The shipped scenarios."""
         return scenario_names()
 
     @cached_property
@@ -41,12 +40,10 @@ class WantedDrive:
 
     @property
     def scenario(self) -> Scenario:
-        """The scenario as it would be driven."""
         return self._scenario
 
     @property
     def wishes(self) -> DriveWishes:
-        """All but the scenario."""
         return self._wishes
 
     @wishes.setter

@@ -39,7 +39,6 @@ class CropBox:
         return signs @ self.to_world[:3, :3].T + self.to_world[:3, 3]
 
     def face_m(self, axis: int, upper: bool) -> Float64[np.ndarray, "3"]:
-        """Middle of a face."""
         return self.to_world[:3, 3] + (1.0 if upper else -1.0) * self.to_world[:3, axis]
 
     def pulled(

@@ -28,8 +28,7 @@ class FloaterRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """What makes a Gaussian a floater; any one of the rules that are on is enough."""
 
     opacity_below: Annotated[
-        float,
-        Meta(ge=0, le=1, title="Opacity below", description="Fainter ones are floaters; 0 turns the rule off."),
+        float, Meta(ge=0, le=1, title="Opacity below", description="Fainter ones are floaters; 0 turns the rule off.")
     ] = 0.05
     size_above_m: Annotated[
         float,

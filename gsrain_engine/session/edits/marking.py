@@ -22,7 +22,6 @@ def delete_selected(scene: Scene) -> Scene:
 
 
 def hide_selected(scene: Scene) -> Scene:
-    """Hide what is selected; nothing is selected afterwards."""
     return edited(scene, lambda each: _with(each, selected=None, hidden=_either(each.marks.hidden, _meant(each))))
 
 

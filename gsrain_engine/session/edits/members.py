@@ -53,16 +53,13 @@ def with_selections(scene: Scene, change: Callable[[Mapping[str, Mask]], Mapping
 
 
 def named(member: Layer | Actor, name: str) -> Layer | Actor:
-    """Give a member a name; for an actor that is its id."""
     return replace(member, name=name) if isinstance(member, Layer) else replace(member, id=name)
 
 
 def names(scene: Scene, like: Layer | Actor) -> set[str]:
-    """Names of all members of the same kind."""
     return {each.name for each in scene.members if type(each) is type(like)}
 
 
 def behind(scene: Scene, key: str, added: Members) -> Members:
-    """All members, with others behind the one of a key."""
     at = next((i for i, each in enumerate(scene.members) if each.key == key), len(scene.members) - 1)
     return (*scene.members[: at + 1], *added, *scene.members[at + 1 :])

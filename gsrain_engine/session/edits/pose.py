@@ -25,7 +25,6 @@ class Pose:
 
     @property
     def matrix(self) -> Float64[np.ndarray, "4 4"]:
-        """The similarity."""
         matrix = np.eye(4)
         matrix[:3, :3] = (
             self.scale * scipy.spatial.transform.Rotation.from_euler("xyz", self.turn_deg, degrees=True).as_matrix()

@@ -57,7 +57,6 @@ class Autosaved(msgspec.Struct, frozen=True):
 
     @property
     def scene(self) -> Path:
-        """The scene folder in it."""
         return self.place / _SCENE
 
 

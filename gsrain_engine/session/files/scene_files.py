@@ -78,7 +78,6 @@ class SceneFiles:
 
     @property
     def is_opening(self) -> bool:
-        """Whether a scene is being read."""
         return self._opening is not None
 
     @property

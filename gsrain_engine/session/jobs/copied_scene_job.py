@@ -52,7 +52,6 @@ class CopiedSceneJob:
             self._end("failed")
 
     def cancel(self) -> None:
-        """Stop, wherever it is."""
         if self.state == "running":
             self._end("cancelled")
 

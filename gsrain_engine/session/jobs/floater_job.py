@@ -21,7 +21,6 @@ class FloaterJob:
     ends_with_scene = True
 
     def __init__(self, scene: Scene, rules: FloaterRules) -> None:
-        """Start on a scene."""
         self.title = TITLE
         self.state: JobState = "running"
         self.progress = Progress(0.0, "Looking for floaters")

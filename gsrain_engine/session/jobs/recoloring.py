@@ -46,17 +46,14 @@ class Recoloring:
         self._allow_outside = allow_outside
 
     def prepare(self, folder: Path) -> Assignment:
-        """Write the scene for the worker."""
         copy = write_copy(self._scene, folder, self._known)
         arguments = copy, self._capture, self._images, self._options, folder / _COLORS, self.report, self._allow_outside
         return Assignment(recolor_copy, arguments)
 
     def snapshot(self, folder: Path) -> Scene | None:
-        """Show nothing before the end."""
         return None
 
     def load(self, folder: Path) -> Scene:
-        """Read the wet colours."""
         return with_colors(self._scene, read_recolored(folder / _COLORS))
 
     def staged(self, scene: Scene) -> StagedScene:

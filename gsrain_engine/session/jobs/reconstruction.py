@@ -30,7 +30,6 @@ class Reconstruction:
         self._seen_ns = 0
 
     def prepare(self, folder: Path) -> Assignment:
-        """Say what is to be done; the worker reads the capture itself."""
         task = ReconstructionTask(
             capture=self._capture, output=folder / _SCENE, settings=self._settings, report=self.report,
             snapshot=folder / _SNAPSHOT, allow_outside=self._allow_outside,
@@ -38,7 +37,6 @@ class Reconstruction:
         return Assignment(reconstruct_capture, (task,))
 
     def snapshot(self, folder: Path) -> Scene | None:
-        """Read how far it is, where that was written anew."""
         try:
             written_ns = (folder / _SNAPSHOT / "scene.json").stat().st_mtime_ns
             if written_ns == self._seen_ns:
@@ -50,7 +48,6 @@ class Reconstruction:
         return scene
 
     def load(self, folder: Path) -> Scene:
-        """Read the result."""
         return read_scene(folder / _SCENE)
 
     def staged(self, scene: Scene) -> StagedScene:

@@ -108,7 +108,6 @@ class SceneJob:
             self._end("failed")
 
     def cancel(self) -> None:
-        """Stop, wherever it is; the scene stays as it was."""
         if self.state == "running":
             self._end("cancelled")
 

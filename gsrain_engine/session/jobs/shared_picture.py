@@ -26,7 +26,6 @@ class SharedPicture:
 
     @property
     def name(self) -> str:
-        """What another process attaches by."""
         return self._memory.name
 
     def write(self, pixels: UInt8[np.ndarray, "h w 3"]) -> None:

@@ -10,7 +10,6 @@ HOW_TO_GET_DIFFUSION = "pip install 'gsrain[diffusion]'"
 
 @cache
 def has_torch() -> bool:
-    """Whether it is installed."""
     return find_spec("torch") is not None
 
 

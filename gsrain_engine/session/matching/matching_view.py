@@ -73,7 +73,6 @@ class MatchingView:
 
     @property
     def is_working(self) -> bool:
-        """Whether a match is on its way."""
         return self._working is not None or (self._last is not None and self.shown is None and self.problem is None)
 
     @property
@@ -105,7 +104,6 @@ class MatchingView:
             self._begin(session, wish)
 
     def close(self) -> None:
-        """Wait for what is under way; nothing new begins."""
         self._thread.shutdown(cancel_futures=True)
 
     def _wish(self, session: Desk) -> _Wish | str:

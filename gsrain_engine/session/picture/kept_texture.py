@@ -27,7 +27,6 @@ class KeptTexture:
 
     @property
     def texture(self) -> Texture | None:
-        """What is on the GPU now."""
         kept = self._texture
         return None if kept is None else Texture(kept.glo, kept.width, kept.height)
 

@@ -290,7 +290,6 @@ class LiveView:
 
     @property
     def _megapixels(self) -> float:
-        """Of the whole viewport."""
         return 0.0 if self._moment is None else 1e-6 * self._moment.camera.width * self._moment.camera.height
 
     def _prepare_staged(self) -> None:

@@ -24,8 +24,7 @@ class Preferences(msgspec.Struct, frozen=True, kw_only=True):
         Literal["dark", "light"], Meta(title="Theme", description="Colours of panels and menus; the picture stays.")
     ] = "dark"
     font_scale: Annotated[
-        float,
-        Meta(ge=0.5, le=3, title="Text size", description="Times the usual size.", extra={"unit": "x"}),
+        float, Meta(ge=0.5, le=3, title="Text size", description="Times the usual size.", extra={"unit": "x"})
     ] = 1.0
     ui_scale: Annotated[
         float,
@@ -91,5 +90,4 @@ def checked(preferences: Preferences) -> Preferences:
 
 
 def preferences_file() -> Path:
-    """Where they are kept."""
     return config_folder() / "preferences.yaml"

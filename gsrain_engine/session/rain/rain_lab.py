@@ -158,7 +158,6 @@ class RainLab:
             self.files.append(path)
 
     def poll(self) -> None:
-        """Take in what has been measured."""
         if self._task is None or not self._task.result.done():
             return
         task, self._task = self._task, None
@@ -171,7 +170,6 @@ class RainLab:
             logger.info("%s: done", task.label)
 
     def close(self) -> None:
-        """Wait for what is under way; nothing new begins."""
         self._thread.shutdown(cancel_futures=True)
 
     def _begin(self, label: str, work: Callable[[], Any], take: Callable[[Any], None]) -> None:

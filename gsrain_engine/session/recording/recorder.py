@@ -60,7 +60,6 @@ class Recorder:
 
     @property
     def is_recording(self) -> bool:
-        """Whether a recording runs; one at a time."""
         return any(isinstance(job, RecordingJob) for job in self._session.running_jobs)
 
     def change(self, **fields: object) -> None:

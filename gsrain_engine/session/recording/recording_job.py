@@ -37,7 +37,6 @@ class RecordingJob(CopiedSceneJob):
         self._output, self._notes = recording.output, tuple(notes)
 
     def cancel(self) -> None:
-        """Stop; what has been recorded so far can be played."""
         if self.state == "running":
             left = (
                 "what there is of it can be played" if Path(self._output).exists() else "nothing of it was written yet"

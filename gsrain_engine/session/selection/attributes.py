@@ -44,7 +44,6 @@ class Attribute:
 
 
 def read_attribute(name: str, read: Read) -> Float32[np.ndarray, " n"]:
-    """Return an attribute of each Gaussian of a part."""
     return np.asarray(ATTRIBUTES[name].values(read), np.float32)
 
 

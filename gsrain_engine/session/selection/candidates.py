@@ -20,12 +20,10 @@ class Candidate(NamedTuple):
 
 
 def is_editable(member: Layer | Actor) -> bool:
-    """Whether selection and edits take a member in."""
     return member.visible and not member.locked
 
 
 def editable(scene: Scene) -> Iterator[Layer | Actor]:
-    """Members that selection and edits take in."""
     return (member for member in scene.members if is_editable(member))
 
 

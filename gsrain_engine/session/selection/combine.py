@@ -24,12 +24,10 @@ def combined(scene: Scene, found: Found, mode: Mode) -> Scene:
 
 
 def all_selected(scene: Scene) -> Scene:
-    """Select everything that is shown."""
     return combined(scene, {member.key: shown(member) for member in editable(scene)}, "set")
 
 
 def none_selected(scene: Scene) -> Scene:
-    """Select nothing."""
     return combined(scene, {}, "set")
 
 
@@ -39,7 +37,6 @@ def inverted(scene: Scene) -> Scene:
 
 
 def selected(member: Layer | Actor) -> Mask:
-    """What is selected of a member."""
     return member.marks.selected or Mask.none(len(member.gaussians))
 
 

@@ -91,7 +91,6 @@ def _key(x, y, z):
 @numba.njit(cache=True)
 @no_type_check
 def _slot(keys, key):
-    """Where a key is, or where it would go."""
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     slot = np.int64((mixed ^ (mixed >> np.uint64(32))) & np.uint64(len(keys) - 1))
     while keys[slot] >= 0 and keys[slot] != key:

@@ -31,10 +31,7 @@ class Histogram(NamedTuple):
     def opened(self, low: float, high: float) -> tuple[float, float]:
         """Return a range that reaches on without end where it reaches an outer edge."""
         slack = 1e-6 * abs(float(self.edges[-1] - self.edges[0]))
-        return (
-            low if low > self.edges[0] + slack else -np.inf,
-            high if high < self.edges[-1] - slack else np.inf,
-        )
+        return (low if low > self.edges[0] + slack else -np.inf, high if high < self.edges[-1] - slack else np.inf)
 
     def count_within(self, low: float, high: float) -> int:
         """How many are shown within a range, by whole bins whose middle lies in it."""

@@ -35,7 +35,6 @@ def _near(scene: Scene, time_s: float, distance_m: float, *, of_selected: bool) 
 def _reached(
     points: Float64[np.ndarray, "m 3"], sources: Float64[np.ndarray, "k 3"], distance_m: float
 ) -> Bool[np.ndarray, " m"]:
-    """Flag points that have a source within a distance."""
     flags = np.zeros(len(points), np.bool_)
     if not len(sources) or not len(points):
         return flags

@@ -25,13 +25,11 @@ def select(session: EditedDocument, found: Found, mode: Mode, by: str) -> None:
 
 
 def select_all(session: EditedDocument) -> None:
-    """Select everything that is shown."""
     scene = all_selected(session.scene)
     _go_to(session, f"Select all {selected_count(scene):,}", scene)
 
 
 def select_none(session: EditedDocument) -> None:
-    """Select nothing."""
     _go_to(session, "Select none", none_selected(session.scene))
 
 
@@ -71,7 +69,6 @@ def save_set(session: EditedDocument, name: str | None = None) -> bool:
 
 
 def recall_set(session: EditedDocument, name: str, mode: Mode) -> None:
-    """Select the Gaussians of a set."""
     select(session, found_in_set(session.scene, name), mode, f"set {name}")
 
 
@@ -88,12 +85,10 @@ def rename_set(session: EditedDocument, name: str, other: str) -> bool:
 
 
 def remove_set(session: EditedDocument, name: str) -> None:
-    """Forget a set."""
     session.set_scene(f"Delete set {name}", removed(session.scene, name))
 
 
 def has_selection(session: EditedDocument) -> bool:
-    """Whether anything is selected that edits take in."""
     return bool(selections(session.scene))
 
 

@@ -32,7 +32,6 @@ class Ball:
 
     @property
     def middle(self) -> Float64[np.ndarray, "3"]:
-        """Its centre."""
         return np.array(self.center_m)
 
     def circles_m(self, points: int) -> Float64[np.ndarray, "3 points 3"]:

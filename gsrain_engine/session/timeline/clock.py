@@ -21,7 +21,6 @@ class Clock:
     """First and last moment, where a person has set them."""
 
     def toggle(self) -> None:
-        """Play or pause."""
         self.playing = not self.playing
 
     def advance(self, real_s: float, span_s: tuple[float, float] | None = None) -> None:

@@ -24,7 +24,6 @@ class KeyDrag(NamedTuple):
     """Whether the hand has moved since: else it was a click."""
 
     def begun(self) -> "KeyDrag":
-        """Return the drag of a hand that has moved."""
         return self._replace(has_moved=True)
 
 

@@ -47,7 +47,6 @@ class Chase:
             self.begin("free")
 
     def ride(self, vehicle: ChasedVehicle, navigation: Navigation) -> None:
-        """Go to where the vehicle is now."""
         self.velocity_m_s = None
         if self.mode == "free":
             return

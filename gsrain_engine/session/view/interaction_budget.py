@@ -15,7 +15,6 @@ class Detail(NamedTuple):
 
     @property
     def is_exact(self) -> bool:
-        """Whether nothing is left out."""
         return self == EXACT
 
     def __str__(self) -> str:
@@ -59,7 +58,6 @@ class InteractionBudget:
 
     @property
     def detail(self) -> Detail:
-        """What to draw now."""
         return LEVELS[self._level] if self.enabled and self._rested_s < SETTLED_S else EXACT
 
     @property

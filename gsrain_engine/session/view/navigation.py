@@ -76,7 +76,6 @@ class Navigation:
         self.position = target - self.distance_m * self.forward
 
     def turn(self, left_rad: float, up_rad: float) -> None:
-        """Turn the head in place."""
         self.heading = float(np.mod(self.heading + left_rad + np.pi, 2 * np.pi) - np.pi)
         self.pitch = float(np.clip(self.pitch + up_rad, -_STEEPEST, _STEEPEST))
 
@@ -120,7 +119,6 @@ class Navigation:
         return bool(np.any(self.velocity_m_s))
 
     def stop(self) -> None:
-        """Stand still."""
         self.velocity_m_s = np.zeros(3)
 
     def change_speed(self, steps: float) -> None:

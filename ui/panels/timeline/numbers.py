@@ -22,7 +22,6 @@ _LABEL_EM = 6.5
 
 
 def numbers(session: Session) -> None:
-    """Draw the numbers."""
     key, path = edits.chosen_key(session), session.scene.path
     if path is not None and key is not None:
         _key(session, path, key)

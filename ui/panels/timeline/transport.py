@@ -14,7 +14,6 @@ _GAP = 18.0
 
 
 def transport(session: Session) -> None:
-    """Draw the bar."""
     clock, timeline = session.clock, session.timeline
     start, end = session.span_s
     if icon_button(_FA.ICON_FA_BACKWARD_FAST, "to start", "To the start (Ctrl+Left)."):

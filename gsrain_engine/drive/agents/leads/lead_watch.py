@@ -24,7 +24,6 @@ class LeadWatch:
     """Remembers from moment to moment. The same sightings give the same answer."""
 
     def __init__(self) -> None:
-        """Begin with a free lane."""
         self._tracks: list[tuple[LeadTrack, Sighting | None]] = []
 
     def look(self, seen: Sequence[Sighting], front_along_m: float, speed_m_s: float, dt_s: float) -> WatchedLead | None:

@@ -34,7 +34,6 @@ def look_of(path: Path, name: str, entity: Element) -> dict[str, str]:
 
 
 def own_properties(entity: Element) -> dict[str, str]:
-    """Return the properties of what an entity is."""
     return {name: value for each in entity for name, value in properties(each).items()}
 
 

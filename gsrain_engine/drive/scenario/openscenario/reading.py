@@ -70,7 +70,6 @@ def read_openscenario(path: Path) -> Scenario:
 def _user(
     path: Path, root: Element, name: str, entity: Element, begun: dict[str, Beginning], ego_name: str, vehicle: Vehicle
 ) -> dict[str, Any]:
-    """Return the plain values of a road user."""
     box = box_of(path, entity)
     where = placed(path, name, begun[name], ego_name, begun[ego_name])
     # Both are placed by their points of reference, and ours by their middles.
