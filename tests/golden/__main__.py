@@ -1,7 +1,8 @@
 """Hashes what two commits make on this machine, and compares: python -m tests.golden OLD NEW.
 
-A commit may be a folder: `.` is the working tree. `--write FILE [COMMIT]` keeps the hashes of one, `--compare FILE [COMMIT]`
-compares with kept ones. Only the command line of a commit is used; each difference is printed, and ends with 1.
+A commit may be a folder, such as `.` for the working tree. `--write FILE [COMMIT]` saves its hashes, and
+`--compare FILE [COMMIT]` compares with saved ones. Only a commit's command line is used. Each difference is printed;
+the exit code is then 1.
 """
 
 import argparse
@@ -45,7 +46,9 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("commits", nargs="*", metavar="COMMIT", help="two to compare, else one; default: .")
     parser.add_argument("--write", type=Path, metavar="FILE", help="keep the hashes of one commit in this file")
     parser.add_argument("--compare", type=Path, metavar="FILE", help="compare one commit with hashes that were kept")
-    parser.add_argument("--only", default="", metavar="NAME", help="only cases whose chain has this in a name, e.g. drive/")
+    parser.add_argument(
+        "--only", default="", metavar="NAME", help="only cases whose chain has this in a name, e.g. drive/"
+    )
     parser.add_argument("--keep", type=Path, metavar="DIR", help="leave all files here, in a folder a commit")
     parser.add_argument("--workers", type=int, default=2, help="commands at a time; default: 2")
     arguments = parser.parse_args()
@@ -59,10 +62,14 @@ def _arguments() -> argparse.Namespace:
 
 def _made(commit: str, arguments: argparse.Namespace) -> dict[str, str]:
     print(f"{commit}:", flush=True)
-    keep = None if arguments.keep is None else arguments.keep / (Path(commit).resolve().name if Path(commit).is_dir() else commit)
+    keep = (
+        None
+        if arguments.keep is None
+        else arguments.keep / (Path(commit).resolve().name if Path(commit).is_dir() else commit)
+    )
     with checkout(commit) as tree:
         return hashes(tree, workers=arguments.workers, only=arguments.only, keep=keep,
-                      tell=lambda line: print(line, flush=True))  # fmt: skip
+                      report=lambda line: print(line, flush=True))  # fmt: skip
 
 
 def _differences(old: dict[str, str], new: dict[str, str]) -> list[str]:

@@ -5,13 +5,28 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
-PACKAGES = ("numpy", "numba", "llvmlite", "scipy", "pillow", "moderngl", "av", "openexr", "opencv-contrib-python-headless")
+PACKAGES = (
+    "numpy",
+    "numba",
+    "llvmlite",
+    "scipy",
+    "pillow",
+    "moderngl",
+    "av",
+    "openexr",
+    "opencv-contrib-python-headless",
+)
 
 
 def machine() -> dict[str, str]:
     """Return names of the processor and the OpenGL driver, and versions of what computes."""
     versions = {name: _version(name) for name in PACKAGES}
-    return {"cpu": _processor(), "opengl": _driver(), "python": platform.python_version(), "system": sys.platform} | versions
+    return {
+        "cpu": _processor(),
+        "opengl": _driver(),
+        "python": platform.python_version(),
+        "system": sys.platform,
+    } | versions
 
 
 def _version(package: str) -> str:
