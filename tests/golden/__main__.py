@@ -1,7 +1,8 @@
 """Hashes what two commits make on this machine, and compares: python -m tests.golden OLD NEW.
 
-A commit may be a folder: `.` is the working tree. `--write FILE [COMMIT]` keeps the hashes of one, `--compare FILE [COMMIT]`
-compares with kept ones. Only the command line of a commit is used; each difference is printed, and ends with 1.
+A commit may be a folder, such as `.` for the working tree. `--write FILE [COMMIT]` saves its hashes, and
+`--compare FILE [COMMIT]` compares with saved ones. Only a commit's command line is used. Each difference is printed;
+the exit code is then 1.
 """
 
 import argparse
@@ -68,7 +69,7 @@ def _made(commit: str, arguments: argparse.Namespace) -> dict[str, str]:
     )
     with checkout(commit) as tree:
         return hashes(tree, workers=arguments.workers, only=arguments.only, keep=keep,
-                      tell=lambda line: print(line, flush=True))  # fmt: skip
+                      report=lambda line: print(line, flush=True))  # fmt: skip
 
 
 def _differences(old: dict[str, str], new: dict[str, str]) -> list[str]:

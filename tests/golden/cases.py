@@ -1,220 +1,242 @@
-"""Commands whose results are hashed, each with the files that it makes; they use nothing of the program but its command line."""
+"""Commands whose results are hashed. They use nothing of the program but its command line."""
 
 from dataclasses import dataclass
 
 CROSSING = "saved/crossing"
-"""The saved scene: 700 Gaussians, wet colors, a vehicle, a rig, marks, a camera path, rain with keys."""
+"""The saved scene: 1,000 Gaussians, wet colors, a vehicle, a rig, marks, a camera path, rain with keys."""
 
-SIZE = ("--size", "160x96")
 WEATHERS = {
-    "clear": ("--rain", "0"),
-    "8.5": ("--rain", "8.5"),
-    "wet": ("--rain", "8.5", "--wetness", "0.8"),
-    "paper": ("--preset", "paper"),
+    "clear": "--rain 0",
+    "8.5": "--rain 8.5",
+    "paper": "--preset paper",
+    "wet": "--rain 8.5 --wetness 0.8",
 }
-LOOKS = ("points", "ellipsoids", "depth", "normals", "opacity", "overdraw", "layers")
-SCENARIOS = ("cut-in", "idm-traffic", "lead-braking", "stationary-lead")
+BACKENDS = "cpu", "opengl"
+LOOKS = "points", "ellipsoids", "depth", "normals", "opacity", "overdraw", "layers"
+SCENARIOS = "cut-in", "idm-traffic", "lead-braking", "stationary-lead"
 
 
 @dataclass(frozen=True)
 class Case:
-    """One command, run in a folder of its own results beside `saved`, and what of its files is hashed.
-
-    `results` are kind and file, or a pattern for several: "pixels", "bytes", "arrays", "numbers" (JSON), "table"
-    (JSON lines), "rollout", "scene" (a scene folder).
-    """
+    """One command, and the files it makes that are hashed."""
 
     name: str
-    arguments: tuple[str, ...]
-    results: tuple[tuple[str, str], ...] = ()
+    command: str
+    """As typed after `gsrain`, in a folder that holds a copy of `saved`."""
+    results: tuple[str, ...]
+    """Kind and file, or a pattern for several files; the kinds are those of `digests_of`."""
 
 
 Chain = tuple[Case, ...]
-"""Cases that use each other's files, in this order."""
+"""Cases that share a folder, in this order: later ones use files of earlier ones."""
 
 
 def chains() -> list[Chain]:
-    """Return all cases; chains may run at the same time, but the first goes alone: it compiles kernels, builds the street."""
+    """Return all cases. The first chain goes alone, for it compiles kernels; others may run at the same time."""
     return [
-        _street(),
-        _stills("street", "street", ("--wet",)),
-        _stills("crossing", CROSSING, WEATHERS["wet"]),
-        _converted(),
-        _recordings(),
-        *(_drives(name) for name in SCENARIOS),
-        _own_drives(),
-        _rain_measured(),
-        _appearance(),
-        _lidar(),
-        _sweeps(),
+        street(),
+        street_stills(),
+        stills("crossing", CROSSING),
+        conversions(),
+        looks(),
+        recordings(),
+        *((drives(scenario),) for scenario in SCENARIOS),
+        own_drives(),
+        measured_rain(),
+        wet_looks(),
+        (lidar(),),
+        sweeps(),
     ]
 
 
-def stills_of_saved_scene() -> Chain:
-    """Return the stills of the saved scene, which a test makes again."""
-    return _stills("crossing", CROSSING, WEATHERS["wet"])
-
-
-def _render(name: str, scene: str, *options: str, size: tuple[str, ...] = SIZE) -> Case:
-    """Make a still with its numbers; its hashes are those of its pixels, of the file, and of the numbers."""
-    file = f"{name}.png"
-    arguments = ("render", scene, "-o", file, *size, *options, "--json", f"{name}.json")
-    return Case(name, arguments, (("pixels", file), ("bytes", file), ("numbers", f"{name}.json")))
-
-
-def _stills(name: str, scene: str, wet: tuple[str, ...], *options: str) -> Chain:
-    weathers = WEATHERS | {"wet": wet if wet[0] == "--rain" else (*WEATHERS["8.5"], *wet)}
+def stills(name: str, scene: str, wet: str = WEATHERS["wet"]) -> Chain:
+    """Return stills in four weathers by two back ends."""
+    weathers = WEATHERS | {"wet": wet}
     return tuple(
-        _render(f"still/{name}.{backend}.{weather}", scene, *options, *chosen, "--backend", backend)
-        for weather, chosen in weathers.items()
-        for backend in ("cpu", "opengl")
+        still(f"still/{name}.{backend}.{weather}", f"{scene} {options} --backend {backend} --size 160x96")
+        for weather, options in weathers.items()
+        for backend in BACKENDS
     )
 
 
-def _street() -> Chain:
-    images = tuple(("pixels", f"street/images/*{end}") for end in (".png", ".npy"))
-    written = ("street", "street", "--rig", "nuscenes", "--moments", "2", "--width", "96", "--json", "street.json")
+def still(name: str, options: str) -> Case:
+    """Return a still with its numbers."""
+    results = f"pixels {name}.png", f"bytes {name}.png", f"numbers {name}.json"
+    return Case(name, f"render {options} -o {name}.png --json {name}.json", results)
+
+
+def street() -> Chain:
+    """Return the built-in street with pictures of it, and what `info` prints about scenes and captures."""
+    made = "numbers street.json", "numbers street/images/cameras.json", "scene street/scene"
+    arrays = "pixels street/images/*.png", "pixels street/images/*.npy"
+    check = "info street/images --check --overlay overlay.png --json capture.json"
     return (
-        Case("street", written, (("numbers", "street.json"), ("numbers", "street/images/cameras.json"), *images,
-                                 ("scene", "street/scene"))),
-        Case("info/street", ("info", "street/scene", "--json", "info.json"), (("numbers", "info.json"),)),
-        Case("info/saved scene", ("info", CROSSING, "--json", "info_saved.json"), (("numbers", "info_saved.json"),)),
-        Case("info/capture", ("info", "street/images", "--check", "--overlay", "overlay.png", "--json", "info_capture.json"),
-             (("numbers", "info_capture.json"), ("pixels", "overlay.png"))),
-    )  # fmt: skip
+        Case("street", "street street --rig nuscenes --moments 2 --width 96 --json street.json", (*made, *arrays)),
+        Case("info/street", "info street/scene --json scene.json", ("numbers scene.json",)),
+        Case("info/saved scene", f"info {CROSSING} --json saved.json", ("numbers saved.json",)),
+        Case("info/capture", check, ("numbers capture.json", "pixels overlay.png")),
+    )
 
 
-def _converted() -> Chain:
-    files = {f"crossing{end}": () for end in (".ply", ".splat", ".spz")} | {
-        "wet.ply": ("--wetness", "1"),
-        "copy": (),
-        "leveled": ("--level", "--metres-per-unit", "2", "--up", "-y"),
+def street_stills() -> Chain:
+    """Return stills of the street; wet by one back end only, since its wet colors take longest and need none."""
+    return tuple(
+        case for case in stills("street", "street", "--rain 8.5 --wet") if case.name != "still/street.opengl.wet"
+    )
+
+
+def conversions() -> Chain:
+    """Return one export of each format that can be written, and stills of one."""
+    targets = {
+        "crossing.ply": "",
+        "crossing.splat": "",
+        "crossing.spz": "",
+        "wet.ply": "--wetness 1",
+        "copy": "",
+        "leveled": "--level --metres-per-unit 2",
+        "turned": "--up -y",
     }
-    written = tuple(
+    exports = tuple(
         Case(
             f"convert/{name}",
-            ("convert", CROSSING, name, *options, "--json", f"{name}.json"),
-            (("bytes" if "." in name else "scene", name), ("numbers", f"{name}.json")),
+            f"convert {CROSSING} {name} {options} --json {name}.json",
+            (f"{'bytes' if '.' in name else 'scene'} {name}", f"numbers {name}.json"),
         )
-        for name, options in files.items()
+        for name, options in targets.items()
     )
-    again = Case("convert/spz to ply", ("convert", "crossing.spz", "again.ply"), (("bytes", "again.ply"),))
-    stills = _stills("converted", "crossing.spz", ("--wet",), "--up", "z", "--camera", "saved/camera.json")
-    return *written, again, *stills
-
-
-def _recordings() -> Chain:
-    looks = tuple(
-        _render(f"look/{look}.{backend}", CROSSING, "--look", look, "--backend", backend, size=("--size", "96x64"))
-        for look in LOOKS
-        for backend in ("cpu", "opengl")
+    read_again = (
+        Case("convert/spz to ply", "convert crossing.spz spz.ply", ("bytes spz.ply",)),
+        Case("convert/splat to ply", "convert crossing.splat splat.ply", ("bytes splat.ply",)),
     )
-    frames = ("--fps", "4", "--to", "0.5", "--passes", "color,depth,alpha,labels", "--twin", "--motion-blur", "2",
-              "--supersampling", "2", "--cameras", "pair", "--backend", "cpu")  # fmt: skip
-    small = ("--size", "64x48", "--backend", "cpu")
-    return (
-        *looks,
-        Case("recording/frames", ("render", CROSSING, "-o", "frames", *frames, "--json", "frames.json"),
-             (("pixels", "frames*/**/*.png"), ("numbers", "frames*/**/*.json"), ("numbers", "frames.json"))),
-        Case("recording/floats", ("render", CROSSING, "-o", "still.npy", "--depth", "--time", "1", *small),
-             (("pixels", "still*.npy"),)),
-        Case("recording/exr", ("render", CROSSING, "-o", "still.exr", "--time", "1", *small), (("bytes", "still.exr"),)),
-        Case("recording/video", ("render", CROSSING, "-o", "clip.mp4", "--to", "1", "--fps", "8", *small),
-             (("bytes", "clip.mp4"),)),
-        Case("recording/roofs", ("render", CROSSING, "-o", "roofs.png", "--roofs", "--seed", "5", *small),
-             (("pixels", "roofs.png"),)),
-        Case("recording/preset", ("render", CROSSING, "-o", "preset.png", "--preset", "saved/settings/preset.yaml", *small),
-             (("pixels", "preset.png"),)),
-        Case("recording/labels", ("render", CROSSING, "-o", "coco", "--labels", "coco", "--cameras", "pair/FRONT",
-                                  "--frame", "1", "--backend", "cpu"), (("numbers", "coco/**/*.json"), ("pixels", "coco/**/*.png"))),
-        Case("recording/kitti", ("render", CROSSING, "-o", "kitti", "--labels", "kitti", "--cameras", "pair/FRONT",
-                                 "--to", "0.1", "--backend", "cpu"), (("bytes", "kitti/**/*.txt"),)),
-    )  # fmt: skip
+    return *exports, *read_again, *stills("converted", "crossing.spz", "--rain 8.5 --wet")
 
 
-def _drives(scenario: str) -> Chain:
-    agents = [each for name in ("constant-velocity", "oracle-idm", "neuroncap-baseline") for each in ("--agent", name)]
-    options = ("--rain", "0,8.5", "--duration", "8", "--width", "96", "--no-video", "--backend", "cpu")
-    arguments = ("drive", scenario, *agents, *options, "-o", scenario, "--json", f"{scenario}.json")
-    return (
-        Case(f"drive/{scenario}", arguments, (("rollout", f"{scenario}/*.jsonl"), ("numbers", f"{scenario}.json"))),
-    )
-
-
-def _own_drives() -> Chain:
-    traffic = ("drive", "saved/settings/scenario.yaml", "--scene", CROSSING, "--agent", "oracle-idm",
-               "--export", "parquet,xosc", "--backend", "cpu", "--no-video")  # fmt: skip
-    seen = ("drive", "stationary-lead", "--agent", "saved/brightness_agent.py", "--rain", "0,12", "--duration", "1",
-            "--width", "96", "--no-video", "--seed", "3")  # fmt: skip
-    return (
-        Case("drive/own scenario", (*traffic, "-o", "traffic", "--json", "traffic.json"),
-             (("rollout", "traffic/*.jsonl"), ("numbers", "traffic.json"), ("bytes", "traffic/*.xosc"))),
-        *(
-            Case(f"drive/pictures.{backend}", (*seen, "--backend", backend, "-o", backend, "--json", f"{backend}.json"),
-                 (("rollout", f"{backend}/*.jsonl"), ("numbers", f"{backend}.json")))
-            for backend in ("cpu", "opengl")
-        ),
-    )  # fmt: skip
-
-
-def _rain_measured() -> Chain:
-    cases = [
-        Case(f"disdrometer/{rain}", ("disdrometer", "--rain", rain, "--area", "0.2", "--seconds", "240", "--record", "60",
-                                     "-o", f"{rain}.nc", "--json", f"{rain}.json"), (("numbers", f"{rain}.json"),))
-        for rain in ("1.2", "8.5")
-    ]  # fmt: skip
-    preset = (
-        "disdrometer",
-        "--preset",
-        "saved/settings/preset.yaml",
-        "--area",
-        "0.1",
-        "--seconds",
-        "30",
-        "--record",
-        "30",
-    )
-    return (
-        *cases,
-        Case("disdrometer/preset", (*preset, "--json", "preset.json"), (("numbers", "preset.json"),)),
-        Case("info/disdrometer", ("info", "8.5.nc", "--json", "info.json"), (("numbers", "info.json"),)),
-        Case("info/table", ("info", "saved/drops.csv", "--columns", "saved/settings/columns.yaml", "--json", "table.json"),
-             (("numbers", "table.json"),)),
-        Case("calibrate", ("calibrate", "1.2.nc", "8.5.nc", "-o", "fitted.yaml", "--intensities", "1.2,8.5", "--half-width",
-                           "0.4", "--resamples", "20", "--force", "--json", "calibrate.json"),
-             (("numbers", "calibrate.json"),)),
-    )  # fmt: skip
-
-
-def _appearance() -> Chain:
-    rig = ("--views", "rig", "--count", "6", "--width", "64")
-    return (
-        Case("transfer", ("transfer", CROSSING, "-o", "wet", "--method", "wet", *rig, "--json", "transfer.json"),
-             (("numbers", "transfer.json"), ("pixels", "wet/**/*.png"))),
-        Case("transfer/half", ("transfer", CROSSING, "-o", "half", "--method", "wet", "--wetness", "0.3", "--seed", "2", *rig),
-             (("pixels", "half/**/*.png"),)),
-        Case("recolor", ("recolor", CROSSING, "--images", "wet", "-o", "recolored", "--iterations", "4", "--held-out", "3",
-                         "--json", "recolor.json"), (("numbers", "recolor.json"), ("scene", "recolored"))),
-        Case("evaluate/images", ("evaluate", "images", "half", "wet", "--json", "images.json"), (("numbers", "images.json"),)),
-        Case("evaluate/consistency", ("evaluate", "consistency", "wet", "half", "--json", "consistency.json"),
-             (("numbers", "consistency.json"),)),
-        Case("evaluate/fid", ("evaluate", "fid", "wet", "half", "--extractor", "pixels16", "--resamples", "20",
-                              "--json", "fid.json"), (("numbers", "fid.json"),)),
-    )  # fmt: skip
-
-
-def _lidar() -> Chain:
-    sensor = ("--sensor", "saved/settings/lidar.yaml", "--rain", "0,8.5", "--seeds", "2", "--sweeps", "2")
-    return (
-        Case("evaluate/lidar", ("evaluate", "lidar", CROSSING, "-o", "lidar", *sensor, "--json", "lidar.json"),
-             (("numbers", "lidar.json"), ("arrays", "lidar/**/*.npz"))),
-    )  # fmt: skip
-
-
-def _sweeps() -> Chain:
+def looks() -> Chain:
+    """Return what is shown instead of the picture, by both back ends."""
     return tuple(
-        Case(f"sweep/{name}", ("sweep", f"saved/sweep/{name}.yaml", "-o", name, "--workers", "0", "--json", f"{name}.json"),
-             (("numbers", f"{name}.json"), ("table", f"{name}/jobs.jsonl"), ("numbers", f"{name}/summary.json"),
-              ("rollout", f"{name}/rollouts/*.jsonl"), ("pixels", f"{name}/clips/**/*.png")))
-        for name in ("drives", "frames")
-    )  # fmt: skip
+        still(f"look/{look}.{backend}", f"{CROSSING} --look {look} --backend {backend} --size 96x64")
+        for look in LOOKS
+        for backend in BACKENDS
+    )
+
+
+def recordings() -> Chain:
+    """Return clips and frames with all passes, labels, and forms of files."""
+    small = f"render {CROSSING} --size 64x48 --backend cpu"
+    rig = f"render {CROSSING} --backend cpu --cameras"
+    passes = "--passes color,depth,alpha,labels --twin --motion-blur 2 --supersampling 2 --fps 4 --to 0.5"
+    preset = f"render {CROSSING} --backend cpu --preset saved/settings/preset.yaml --camera saved/camera.json"
+    frames = "pixels frames*/**/*.png", "numbers frames*/**/*.json", "numbers numbers.json"
+    return (
+        Case("recording/frames", f"{rig} pair -o frames {passes} --json numbers.json", frames),
+        Case("recording/floats", f"{small} -o still.npy --depth --time 1", ("pixels still*.npy",)),
+        Case("recording/exr", f"{small} -o still.exr --time 1", ("bytes still.exr",)),
+        Case("recording/video", f"{small} -o clip.mp4 --to 1 --fps 8", ("bytes clip.mp4",)),
+        Case("recording/roofs", f"{small} -o roofs.png --roofs --seed 5", ("pixels roofs.png",)),
+        Case("recording/preset", f"{preset} -o preset.png", ("pixels preset.png",)),
+        Case(
+            "recording/coco",
+            f"{rig} pair/FRONT -o coco --labels coco --to 0.1",
+            ("numbers coco/**/*.json", "pixels coco/**/*.png"),
+        ),
+        Case(
+            "recording/kitti",
+            f"{rig} pair/FRONT -o kitti --labels kitti --to 0.1",
+            ("bytes kitti/**/*.txt", "pixels kitti/**/*.png"),
+        ),
+    )
+
+
+def drives(scenario: str) -> Case:
+    """Return roll-outs of a shipped scenario by three agents, with rain and without."""
+    agents = "--agent constant-velocity --agent oracle-idm --agent neuroncap-baseline"
+    options = "--rain 0,8.5 --duration 8 --width 96 --no-video --backend cpu"
+    return Case(
+        f"drive/{scenario}",
+        f"drive {scenario} {agents} {options} -o {scenario} --json {scenario}.json",
+        (f"rollout {scenario}/*.jsonl", f"numbers {scenario}.json"),
+    )
+
+
+def own_drives() -> Chain:
+    """Return a drive with one road user of each behavior, and drives by an agent that looks at pictures."""
+    traffic = f"drive saved/settings/scenario.yaml --scene {CROSSING} --agent oracle-idm --no-video --backend cpu"
+    seen = "drive stationary-lead --agent saved/brightness_agent.py --rain 0,12 --duration 1 --width 96 --no-video"
+    return (
+        Case(
+            "drive/own scenario",
+            f"{traffic} --export parquet,xosc -o traffic --json traffic.json",
+            ("rollout traffic/*.jsonl", "numbers traffic.json", "bytes traffic/*.parquet"),
+        ),
+        *(
+            Case(
+                f"drive/pictures.{backend}",
+                f"{seen} --seed 3 --backend {backend} -o {backend} --json {backend}.json",
+                (f"rollout {backend}/*.jsonl", f"numbers {backend}.json"),
+            )
+            for backend in BACKENDS
+        ),
+    )
+
+
+def measured_rain() -> Chain:
+    """Return what a virtual disdrometer counts, and a calibration fitted to it."""
+    meters = tuple(
+        Case(
+            f"disdrometer/{rain}",
+            f"disdrometer --rain {rain} --area 0.2 --seconds 120 --record 60 -o {rain}.nc --json {rain}.json",
+            (f"numbers {rain}.json",),
+        )
+        for rain in ("1.2", "8.5")
+    )
+    preset = "disdrometer --preset saved/settings/preset.yaml --area 0.1 --seconds 30 --record 30"
+    fit = "calibrate 1.2.nc 8.5.nc -o fit.yaml --intensities 1.2,8.5 --half-width 0.4 --resamples 20 --force"
+    columns = "--columns saved/settings/columns.yaml"
+    return (
+        *meters,
+        Case("disdrometer/preset", f"{preset} --json preset.json", ("numbers preset.json",)),
+        Case("info/disdrometer", "info 8.5.nc --json info.json", ("numbers info.json",)),
+        Case("info/table", f"info saved/drops.csv {columns} --json table.json", ("numbers table.json",)),
+        Case("calibrate", f"{fit} --json calibrate.json", ("numbers calibrate.json",)),
+    )
+
+
+def wet_looks() -> Chain:
+    """Return views made wet, a scene recolored to them, and how they compare."""
+    views = f"transfer {CROSSING} --method wet --views rig --count 6 --width 96"
+    recolor = f"recolor {CROSSING} --images wet -o recolored --iterations 4 --held-out 3"
+    return (
+        Case("transfer", f"{views} -o wet --json wet.json", ("numbers wet.json", "pixels wet/**/*.png")),
+        Case("transfer/half", f"{views} -o half --wetness 0.3 --seed 2", ("pixels half/**/*.png",)),
+        Case("recolor", f"{recolor} --json recolor.json", ("numbers recolor.json", "scene recolored")),
+        Case("evaluate/images", "evaluate images half wet --json images.json", ("numbers images.json",)),
+        Case("evaluate/consistency", "evaluate consistency wet half --json views.json", ("numbers views.json",)),
+        Case(
+            "evaluate/fid",
+            "evaluate fid wet half --extractor pixels16 --resamples 20 --json fid.json",
+            ("numbers fid.json",),
+        ),
+    )
+
+
+def lidar() -> Case:
+    """Return a lidar's sweeps in rain."""
+    options = "--sensor saved/settings/lidar.yaml --rain 0,8.5 --seeds 2 --sweeps 2 --json lidar.json"
+    return Case(
+        "evaluate/lidar",
+        f"evaluate lidar {CROSSING} -o lidar {options}",
+        ("numbers lidar.json", "arrays lidar/**/*.npz"),
+    )
+
+
+def sweeps() -> Chain:
+    """Return a sweep of drives and one of frames."""
+    made = {"drives": "rollout drives/rollouts/*.jsonl", "frames": "pixels frames/clips/**/*.png"}
+    return tuple(
+        Case(
+            f"sweep/{name}",
+            f"sweep saved/sweep/{name}.yaml -o {name} --workers 0 --json {name}.json",
+            (f"numbers {name}.json", f"table {name}/jobs.jsonl", f"numbers {name}/summary.json", results),
+        )
+        for name, results in made.items()
+    )

@@ -84,7 +84,7 @@ def _rollout(path: Path, name: str) -> dict[str, str]:
 
 
 def _scene(folder: Path, name: str) -> dict[str, str]:
-    """Hash each part of `scene.json`, and the bytes and arrays of the files beside it, by their names without hashes."""
+    """Hash each part of `scene.json`, and bytes and arrays of the other files, whose names lose the hash in them."""
     found = {}
     for key, values in json.loads((folder / "scene.json").read_bytes()).items():
         found[f"{name}/scene.json: {key}"] = digest_of(json.dumps(values, sort_keys=True).encode())

@@ -1,0 +1,231 @@
+"""Files that version 0.1.0 has written still open, and hold what they held."""
+
+import json
+import shutil
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import yaml
+
+from gsrain_engine.appearance.finetuning.settings_file import load_finetuning
+from gsrain_engine.drive.rollouts.json_lines import read_rollout
+from gsrain_engine.drive.scenario.scenario_files import load_scenario
+from gsrain_engine.drive.sweeps.expansion import jobs_of
+from gsrain_engine.drive.sweeps.program import program_version
+from gsrain_engine.drive.sweeps.row import rows_in
+from gsrain_engine.drive.sweeps.sweep import load_sweep
+from gsrain_engine.drive.sweeps.sweep_folder import SweepFolder
+from gsrain_engine.evaluate.comparison.settings import load_comparison
+from gsrain_engine.evaluate.detection.description import load_description
+from gsrain_engine.evaluate.lidar.sensor import LidarSensor
+from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.rain.disdrometer.tables import load_columns
+from gsrain_engine.rain.presets import load_preset
+from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.saved_rain import rain_of, weather_of
+from gsrain_engine.reconstruct.training.settings import load_settings
+from gsrain_engine.scene.formats import read_scene
+from gsrain_engine.session.files.recent_files import recent_files
+from gsrain_engine.session.preferences.preferences import load_preferences
+from gsrain_engine.session.session import Session
+from gsrain_engine.untrusted.explained_errors import converted
+from gsrain_engine.untrusted.plain_values import yaml_values
+from session.files.open_document import settle
+from ui.panels.table import all_panels
+
+SAVED = Path(__file__).parent / "saved"
+
+
+@pytest.fixture
+def saved(tmp_path, monkeypatch):
+    """A copy of all files, in which the window of a user finds its own."""
+    shutil.copytree(SAVED, tmp_path / "saved", ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "saved/state"))
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "saved/config"))
+    return tmp_path / "saved"
+
+
+@pytest.fixture
+def session():
+    opened = Session()
+    yield opened
+    opened.close()
+
+
+def test_members_of_the_scene_folder():
+    scene = read_scene(SAVED / "crossing")
+    members = {each.key: each for each in scene.members}
+    assert {key: (len(each.gaussians), each.gaussians.sh.shape[1]) for key, each in members.items()} == {
+        "layers/road": (520, 1), "layers/wall": (162, 4), "layers/hedge": (180, 4), "layers/roof": (49, 1),
+        "layers/sky": (96, 1), "actors/lead": (64, 1),
+    }  # fmt: skip
+    road, wall, hedge, roof, sky = scene.layers
+    assert (road.wet_sh is not None, wall.wet_sh, scene.actors[0].wet_sh is not None) == (True, None, True)
+    assert (hedge.opacity, hedge.locked, roof.visible, sky.kind) == (0.8, True, False, "sky")
+    assert hedge.to_scene[2].tolist() == [0, 0, 1, 0.25]
+    grading = wall.grading
+    assert (grading.exposure_ev, grading.temperature, grading.tint) == (0.25, 0.1, -0.05)
+    assert (grading.contrast, grading.saturation) == (1.1, 0.9)
+    assert np.array_equal(road.marks.selected.flags, road.gaussians.means[:, 0] < 4)
+    assert np.array_equal(road.marks.hidden.flags, road.gaussians.means[:, 0] > 50)
+    assert np.array_equal(wall.marks.deleted.flags, wall.gaussians.means[:, 1] > 8.5)
+    assert (road.marks.selected.size, road.marks.hidden.size, wall.marks.deleted.size) == (78, 13, 9)
+    assert {name: {key: mask.size for key, mask in masks.items()} for name, masks in scene.selections.items()} == {
+        "near": {"layers/road": 78}, "top": {"layers/wall": 54},
+    }  # fmt: skip
+
+
+def test_numbers_of_the_scene_folder():
+    scene = read_scene(SAVED / "crossing")
+    for member, file in zip(scene.members, sorted((SAVED / "crossing").glob("*/*.ply"), key=lambda each: each.name),
+                            strict=True):  # fmt: skip
+        columns = _columns(file)
+        found = member.gaussians
+        assert np.array_equal(found.means, columns["x", "y", "z"])
+        assert np.array_equal(found.sh[:, 0], columns["f_dc_0", "f_dc_1", "f_dc_2"])
+        assert np.allclose(found.scales, np.exp(columns["scale_0", "scale_1", "scale_2"]), rtol=1e-6)
+        assert np.allclose(found.opacities, 0.95, atol=1e-6)
+        if member.wet_sh is not None:
+            assert np.array_equal(member.wet_sh, np.load(file.with_name(_wet_file(file))))
+
+
+def test_what_belongs_to_the_whole_scene_folder():
+    scene = read_scene(SAVED / "crossing")
+    assert (scene.name, scene.ground_m, scene.up, scene.metres_per_unit) == ("crossing", 0.0, (0.0, 0.0, 1.0), 1.0)
+    (actor,) = scene.actors
+    assert (actor.id, actor.class_name, actor.size_lwh) == ("lead", "car", (4.2, 1.8, 1.5))
+    assert actor.track.positions[1].tolist() == [15.5, 1.2, 0.0]
+    assert actor.track.valid.tolist() == [True, True, True, False]
+    assert scene.ego.positions[-1].tolist() == [30.0, 0.5, 1.5]
+    assert [(each.name, each.width, each.exposure_s) for each in scene.rigs["pair"]] == [
+        ("FRONT", 96, 0.004), ("LEFT", 64, 0.002),
+    ]  # fmt: skip
+    path = scene.path
+    assert (path.interpolation, path.easing, path.loop, path.exposure_s) == ("linear", "in and out", True, 0.008)
+    assert path.times_s.tolist() == [0.0, 1.0, 2.5, 4.0]
+    assert path.vertical_fov_deg.tolist() == [50.0, 48.0, 52.0, 50.0]
+    rain = rain_of(scene)
+    assert rain == msgspec.structs.replace(
+        Rain(), intensity_mm_h=7.5, seed=3, gust_m_s=1.5, wind_m_s=(2.0, -1.0), exposure_s=0.01, roofs=True,
+        haze_gain=1.25, drying_s=120.0, drop_color=(0.7, 0.75, 0.8), max_copies=3,
+    )  # fmt: skip
+    weather = weather_of(scene)
+    assert (weather.between, weather.times_of("intensity_mm_h")) == ("smooth", [0.0, 1.5, 4.0])
+    assert weather.rain_at(rain, 1.5).wind_m_s == (3.0, 0.5)
+    assert weather.rain_at(rain, 4.0).exposure_s == 0.02
+
+
+def test_the_window_opens_the_scene_folder_as_it_was_left(saved, session):
+    shutil.rmtree(saved / ".crossing.autosave")
+    session.open(str(saved / "crossing"))
+    settle(session)
+    assert session.problem is None and session.questions.present is None
+    assert (session.rain.intensity_mm_h, len(session.weather.keys)) == (7.5, 3)
+    assert session.navigation.position.tolist() == [-2.0, 0.5, 2.25]
+    assert (session.navigation.heading, session.clock.time_s) == (0.05, 1.25)
+    assert (session.view.gain_ev, session.view.background) == (0.5, (0.1, 0.2, 0.3))
+
+
+def test_unsaved_changes_are_recovered(saved, session):
+    session.open(str(saved / "crossing"))
+    settle(session)
+    session.questions.answer(session.questions.present.answers[0])
+    settle(session)
+    assert session.rain.intensity_mm_h == 12.0 and session.has_changes
+    assert session.scene.member("layers/hedge").marks.deleted.size == 60
+
+
+def test_an_unsaved_new_scene_is_recovered(saved, session):
+    session.files.offer_recovery()
+    settle(session)
+    session.questions.answer(session.questions.present.answers[0])
+    settle(session)
+    assert (session.scene.name, session.rain.intensity_mm_h) == ("sketch", 3.5)
+
+
+def test_preferences_and_recent_scenes(saved):
+    preferences, problem = load_preferences()
+    assert problem is None
+    assert (preferences.theme, preferences.font_scale, preferences.ui_scale) == ("light", 1.25, 0.9)
+    assert preferences.autosave_s == 35.0
+    assert recent_files() == [Path("/tmp/drives/crossing")]
+
+
+def test_the_layout_of_panels_names_panels_that_there_are():
+    text = (SAVED / "config/gsrain/window.ini").read_text()
+    titles = {line[len("[Window][") : -1] for line in text.splitlines() if line.startswith("[Window][")}
+    assert {panel.title for panel in all_panels()} <= titles
+
+
+@pytest.mark.parametrize(
+    ("name", "load"),
+    [
+        ("preset", load_preset),
+        ("calibration", load_calibration),
+        ("scenario", load_scenario),
+        ("reconstruct", load_settings),
+        ("finetuning", load_finetuning),
+        ("comparison", load_comparison),
+        ("detector", load_description),
+        ("lidar", lambda path: converted(yaml_values(Path(path).read_bytes()), LidarSensor)),
+        ("columns", load_columns),
+    ],
+)
+def test_settings_keep_all_their_values(name, load, monkeypatch):
+    monkeypatch.chdir(SAVED / "settings")
+    written = yaml.safe_load(Path(f"{name}.yaml").read_text())
+    assert _leaves(msgspec.to_builtins(load(f"{name}.yaml"), enc_hook=str)) == _leaves(written)
+
+
+@pytest.mark.parametrize("name", ["drives", "frames"])
+def test_sweeps_keep_all_their_values(name, monkeypatch):
+    monkeypatch.chdir(SAVED / "sweep")
+    written = yaml.safe_load(Path(f"{name}.yaml").read_text())
+    assert _leaves(msgspec.to_builtins(load_sweep(f"{name}.yaml"))) == _leaves(written)
+
+
+def test_rows_and_roll_outs_of_a_sweep():
+    folder = SAVED / "sweep/results"
+    rows = [row for file in sorted((folder / "rows").iterdir()) for row in rows_in(file.read_bytes())]
+    assert [(row["status"], row["agent"], row["scenario"], row["steps"]) for row in rows] == [
+        ("finished", "oracle", "short", 4)
+    ] * 2
+    for row in rows:
+        rollout = read_rollout(folder / "rollouts" / f"{row['id']}.jsonl")
+        assert (len(rollout.steps), rollout.seed, rollout.end) == (5, 2, "time")
+        assert rollout.scenario["rain"]["intensity_mm_h"] == row["intensity_mm_h"]
+
+
+@pytest.mark.skipif(program_version() != "0.1.0", reason="jobs of another version are other jobs")
+def test_jobs_of_a_finished_sweep_are_not_done_again(monkeypatch):
+    monkeypatch.chdir(SAVED / "sweep")
+    assert SweepFolder(Path("results")).to_do(jobs_of(load_sweep("drives.yaml"))) == []
+
+
+def _leaves(values):
+    """Return what is neither a mapping nor a list, sorted: fields may be renamed, their values stay."""
+    if isinstance(values, dict | list | tuple):
+        inner = values.values() if isinstance(values, dict) else values
+        return sorted((leaf for each in inner for leaf in _leaves(each)), key=str)
+    return [json.dumps(float(values) if isinstance(values, int) and not isinstance(values, bool) else values)]
+
+
+class _Columns:
+    def __init__(self, names, table):
+        self._names, self._table = names, table
+
+    def __getitem__(self, names):
+        return self._table[:, [self._names.index(name) for name in names]]
+
+
+def _columns(file):
+    head, _, body = file.read_bytes().partition(b"end_header\n")
+    names = [line.split()[2] for line in head.decode().splitlines() if line.startswith("property")]
+    return _Columns(names, np.frombuffer(body, "<f4").reshape(-1, len(names)))
+
+
+def _wet_file(file):
+    (found,) = file.parent.glob(f"{file.name.rpartition('-')[0]}-*.wet.npy")
+    return found.name
