@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-LEFT_OUT = {"seconds", "program", "software", "version", "versions", "scene_hash"}
-"""Keys of JSON that differ between runs and versions."""
+LEFT_OUT = "seconds", "program", "software", "version", "scene_hash", "inputs"
+"""Beginnings of keys of JSON whose values differ between runs and versions."""
 
 
 def digest_of(data: bytes) -> str:
@@ -57,7 +57,7 @@ def _plain_digest(values: Any) -> str:
 def _lasting(values: Any) -> Any:
     """Return plain values without those that differ from run to run."""
     if isinstance(values, dict):
-        return {key: _lasting(each) for key, each in values.items() if key not in LEFT_OUT}
+        return {key: _lasting(each) for key, each in values.items() if not key.startswith(LEFT_OUT)}
     return [_lasting(each) for each in values] if isinstance(values, list) else values
 
 
