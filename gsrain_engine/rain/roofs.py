@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +10,7 @@ from jaxtyping import Bool, Float32, Float64, Int32
 
 from gsrain_engine.scene.bounds import robust_bounds
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.identity import scene_cache
 from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.members import Layer, Part
 from gsrain_engine.scene.rotations import matrices_from_quaternions
@@ -104,7 +104,7 @@ def _solid(layer: Layer, to_world: bytes) -> _Solid:
     return _Solid(layer.gaussians, to_world, layer.marks.left_out, layer.opacity)
 
 
-@lru_cache(maxsize=2)
+@scene_cache(maxsize=2)
 def _roofs_of_solids(solids: tuple[_Solid, ...]) -> Roofs | None:
     ways = [np.frombuffer(each.to_world).reshape(4, 4) for each in solids]
     return find_roofs(

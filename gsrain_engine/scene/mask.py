@@ -1,10 +1,11 @@
 """Which Gaussians of a set are meant: one bit each, as a value."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Int64, UInt32
+
+from .identity import scene_cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +82,7 @@ class Mask:
         return Mask.of(self.flags[indices])
 
 
-@lru_cache(maxsize=256)
+@scene_cache(maxsize=256)
 def union(first: Mask, second: Mask) -> Mask:
     """Return `first | second`, the very same value each time: renderers know arrays by their identity."""
     return first | second

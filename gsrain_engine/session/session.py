@@ -13,6 +13,7 @@ from gsrain_engine.rain.rain import Rain
 from gsrain_engine.rain.rainfall import Rainfall
 from gsrain_engine.rain.saved_rain import rain_of, weather_of
 from gsrain_engine.rain.weather import WITHOUT_CHANGE, Weather
+from gsrain_engine.scene.identity import forget_scenes
 from gsrain_engine.scene.scene import Scene
 
 from .appearance.rainy_look import RainyLook
@@ -111,6 +112,7 @@ class Session(Desk):
         self.files.enter(opened, self.history.present)
         self._follow_document()
         self.enter_scene()
+        forget_scenes()
         self._freed_memory.note_work()
         if scene.view is not None:
             look_again(self, scene.view)

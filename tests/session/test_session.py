@@ -1,6 +1,8 @@
+import gc
 import platform
 import subprocess
 import sys
+import weakref
 from concurrent.futures import ThreadPoolExecutor, wait
 from threading import Event
 
@@ -9,9 +11,13 @@ import numpy as np
 import psutil
 import pytest
 
+from gsrain_engine.drive.road.ground import ground_of
+from gsrain_engine.drive.road.occupied_space import occupied_space_of
 from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.roofs import roofs_of
 from gsrain_engine.scene.bounds import Core
 from gsrain_engine.scene.formats import read_scene, write_scene
+from gsrain_engine.session.edits.moving import pivot
 from gsrain_engine.session.freed_memory import FreedMemory, return_freed_memory
 from gsrain_engine.session.rain.region_outlines import project_edges, region_outlines
 from gsrain_engine.session.session import Session
@@ -246,6 +252,21 @@ def test_memory_is_returned_a_second_after_work(monkeypatch):
         for now[0] in (11.5, 12.0, 15.0):
             memory.poll()
     assert len(asked) == 1
+
+
+def test_nothing_holds_on_to_a_closed_scene():
+    session = Session(small_scene())
+    occupied_space_of(session.scene, ground_of(session.scene))
+    roofs_of(session.scene)
+    pivot(session.scene, session.scene.members[0].key)
+    means = [weakref.ref(each.gaussians.means) for each in session.scene.members]
+    session.files.close_scene()
+    session.update(0.1)
+    wait(session.pending_files, timeout=60)
+    gc.collect()
+    assert means
+    assert [each() for each in means] == [None] * len(means)
+    session.close()
 
 
 def test_a_closed_scene_gives_its_memory_back(monkeypatch):

@@ -1,11 +1,11 @@
 """Where the road is: the ground that a vehicle may stand on. World frame, metres."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from gsrain_engine.scene.identity import scene_cache
 from gsrain_engine.scene.scene import Scene
 
 from .ground import Ground
@@ -42,7 +42,7 @@ class Drivable:
         return float(holds_cells(self.keys, cell_keys(box.lattice(_STEP_M), _CELL_M)).mean())
 
 
-@lru_cache(maxsize=2)
+@scene_cache(maxsize=2)
 def drivable_of(scene: Scene, ground: Ground, occupied: OccupiedSpace) -> Drivable:
     """Find the road of a scene as far beside its drive as the ground is known; keeps the last two scenes'.
 

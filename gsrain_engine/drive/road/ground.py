@@ -1,11 +1,11 @@
 """How high the ground is. World frame, metres."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float64
 
+from gsrain_engine.scene.identity import scene_cache
 from gsrain_engine.scene.scene import Scene
 
 from .ground_search import found_ground
@@ -34,7 +34,7 @@ class Ground:
         return self.grid.at_all(places)
 
 
-@lru_cache(maxsize=2)
+@scene_cache(maxsize=2)
 def ground_of(scene: Scene) -> Ground:
     """Find the ground of a scene; the last two scenes' are kept.
 

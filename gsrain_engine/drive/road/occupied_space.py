@@ -1,11 +1,11 @@
 """What of a scene's background can be driven into: pillars of space that something solid stands in. World, metres."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from gsrain_engine.scene.identity import scene_cache
 from gsrain_engine.scene.scene import Scene
 
 from .ground import Ground
@@ -42,7 +42,7 @@ class OccupiedSpace:
         return holds_cells(self.keys, cell_keys(places, CELL_M))
 
 
-@lru_cache(maxsize=2)
+@scene_cache(maxsize=2)
 def occupied_space_of(scene: Scene, ground: Ground) -> OccupiedSpace:
     """Find what stands in a scene, its actors aside, as far beside its drive as the ground is known; keeps two scenes'.
 

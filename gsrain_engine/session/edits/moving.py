@@ -1,12 +1,12 @@
 """Moves by a similarity of the world: a whole member, or what is selected. `moving` shows one while it is dragged."""
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float32, Float64
 
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.identity import scene_cache
 from gsrain_engine.scene.marks import Marks
 from gsrain_engine.scene.mask import Mask, union
 from gsrain_engine.scene.members import Actor, Layer
@@ -89,7 +89,7 @@ def pivot(scene: Scene, key: str | None, time_s: float = 0.0) -> Float64[np.ndar
 _MIDDLE_SAMPLES = 100_000
 
 
-@lru_cache(maxsize=32)
+@scene_cache(maxsize=32)
 def _middle(gaussians: Gaussians, selected: Mask | None) -> Float64[np.ndarray, "3"]:
     means = gaussians.means if selected is None else gaussians.means[selected.indices]
     return np.median(means[:: -(-len(means) // _MIDDLE_SAMPLES) or 1], axis=0).astype(np.float64)
@@ -160,6 +160,6 @@ def _dragged(member: Layer | Actor, to_scene: Similarity) -> Layer:
     )
 
 
-@lru_cache(maxsize=64)
+@scene_cache(maxsize=64)
 def _complement(mask: Mask) -> Mask:
     return ~mask  # the very same value each time: renderers know arrays by their identity
