@@ -29,7 +29,7 @@ tests: kernels modules
 
 # Kernels are compiled once, instead of by several tests at a time, and while torch is installed.
 kernels: setup
-	$(RUN)/python -c "from gsrain_engine.session.picture.cpu_picture import compile_kernels; compile_kernels()"
+	$(RUN)/python -c "from gsrain_engine.editor.drawing.textures import compile_kernels; compile_kernels()"
 
 # So are modules, with the types that tests check; what is wrong with one, its tests tell.
 modules: $(VENV)/.installed-jobs

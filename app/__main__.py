@@ -2,7 +2,7 @@
 
 import sys
 
-from .command_line import run
+from .main import run
 
 
 def main() -> None:

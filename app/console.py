@@ -12,13 +12,20 @@ from contextlib import suppress
 from typing import IO, Any
 
 import rich.console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TimeElapsedColumn
-from rich.progress import TimeRemainingColumn as TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.segment import Segment
-from rich.table import Table as Table
+from rich.table import Table
 from rich.text import Text
 
-from gsrain_engine.untrusted.printable import escaped
+from gsrain_engine.safe_io.text_files import escaped
 
 __all__ = [
     "BarColumn", "Console", "MofNCompleteColumn", "Progress", "Table", "TimeElapsedColumn", "TimeRemainingColumn",

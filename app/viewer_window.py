@@ -21,15 +21,14 @@ from gsrain.viewer_messages import (
     receive,
     send,
 )
-from gsrain_engine.scene.errors import sentence_of
+from gsrain_engine.scene.files import sentence_of
 
-from .commands.display import has_display
+from .options import has_display
 
 if TYPE_CHECKING:
+    from gsrain_engine.editor.editor import Session
     from gsrain_engine.scene.scene import Scene
-    from gsrain_engine.session.session import Session
-
-    from .workspace import Workspace
+    from ui.workspace import Workspace
 
 _STEP = "python"
 """Gesture of all that the program sets: one step of the history until a person does something else."""
@@ -63,7 +62,7 @@ class ViewerWindow:
         try:
             if not has_display():
                 raise OSError("no display: the viewer window can't open here; gr.render needs none")
-            from .window import run_window  # the GUI libraries load only where there is a display
+            from ui.window import run_window  # the GUI libraries load only where there is a display
 
             run_window(self._begin, backend, self._on_frame, restarts=False)
         except Exception as error:  # whatever it is, the program gets one sentence
@@ -91,8 +90,8 @@ class ViewerWindow:
 
     def _begin(self) -> "Session":
         """Make the session of the first scene."""
-        from gsrain_engine.scene.formats import read_scene
-        from gsrain_engine.session.session import Session
+        from gsrain_engine.editor.editor import Session
+        from gsrain_engine.scene.formats.scene_files import read_scene
 
         with self._has_news:
             self._has_news.wait_for(lambda: self._waiting or self._is_alone)
@@ -188,7 +187,7 @@ def _is_busy(workspace: "Workspace") -> bool:
 
 def _in_thread(folder: Path) -> "Future[Scene]":
     """Read a scene while frames go on."""
-    from gsrain_engine.scene.formats import read_scene
+    from gsrain_engine.scene.formats.scene_files import read_scene
 
     reading: Future[Scene] = Future()
 

@@ -42,13 +42,13 @@ def window(folder: Path) -> tuple[float, float]:
     """From the start of Python to the street's first picture, and what the processor did for it."""
     from imgui_bundle import hello_imgui, immapp
 
-    from app.window import Window
-    from gsrain_engine.session.picture.cpu_picture import compile_kernels
+    from gsrain_engine.editor.drawing.textures import compile_kernels
+    from ui.window import Window
 
     found: list[tuple[float, float]] = []
 
     def begin() -> Any:
-        from app.workspace import begin_session
+        from ui.workspace import begin_session
 
         return begin_session(None, None)
 
@@ -75,7 +75,7 @@ def window(folder: Path) -> tuple[float, float]:
 
 def opened(folder: Path, name: str) -> tuple[float, float]:
     """Open a scene of 1 M Gaussians to be drawn; imports and kernels stand before the clock."""
-    from gsrain_engine.scene.open_scene import open_to_draw
+    from gsrain_engine.scene.open import open_to_draw
 
     open_to_draw(str(folder / "small" / name))
     clock = Clock()
@@ -87,8 +87,8 @@ def opened(folder: Path, name: str) -> tuple[float, float]:
 
 def saved(folder: Path, name: str) -> tuple[float, float]:
     """Write 1 M Gaussians into a file."""
-    from gsrain_engine.scene.formats import write_scene
-    from gsrain_engine.scene.open_scene import open_scene
+    from gsrain_engine.scene.formats.scene_files import write_scene
+    from gsrain_engine.scene.open import open_scene
 
     scene = open_scene(str(folder / "million"))
     clock = Clock()
@@ -97,16 +97,15 @@ def saved(folder: Path, name: str) -> tuple[float, float]:
 
 
 def _street() -> Any:
-    from gsrain_engine.scene.open_scene import open_to_draw
+    from gsrain_engine.scene.open import open_to_draw
 
     return open_to_draw("street")
 
 
 def _sequence(scene: Any) -> Any:
-    from gsrain_engine.rain.presets import load_preset
-    from gsrain_engine.rain.rainfall import Rainfall
-    from gsrain_engine.render.mounted_camera import mounted_cameras
-    from gsrain_engine.render.sequence import FrameSequence
+    from gsrain_engine.rain.settings import load_preset
+    from gsrain_engine.rain.simulation import Rainfall
+    from gsrain_engine.render.sequence import FrameSequence, mounted_cameras
 
     (camera,) = mounted_cameras(scene, ("waymo_front3/FRONT",))
     return FrameSequence(scene, Rainfall.start(load_preset("8.5")), camera, *SIZE)
@@ -144,7 +143,7 @@ def moved_slider(folder: Path) -> tuple[float, float]:
 
     from msgspec import structs
 
-    from gsrain_engine.rain.rainfall import Rainfall
+    from gsrain_engine.rain.simulation import Rainfall
 
     def moved(street: Any, count: int) -> tuple[Any, int]:
         rain = structs.replace(street.rainfall.rain, intensity_mm_h=2.0 + 0.5 * count)
@@ -156,8 +155,8 @@ def moved_slider(folder: Path) -> tuple[float, float]:
 def recorded(folder: Path, name: str) -> tuple[float, float]:
     """Frames of the street in rain, into a file or a folder."""
     from gsrain_engine.backends import open_renderer
-    from gsrain_engine.render.record import record
-    from gsrain_engine.render.recording import Recording
+    from gsrain_engine.render.export import record
+    from gsrain_engine.render.export_settings import Recording
 
     sequence = _sequence(_street())
     with open_renderer("cpu") as renderer:
@@ -173,11 +172,10 @@ def recolored(folder: Path) -> tuple[float, float]:
     """Solve for the street's colours in eight views of another look, 480 x 320."""
     import numpy as np
 
-    from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
-    from gsrain_engine.appearance.views.scene_views import scene_views
-    from gsrain_engine.reconstruct.recoloring.recolor_scene import recolor_scene
-    from gsrain_engine.reconstruct.recoloring.settings import RecolorSettings
-    from gsrain_engine.reconstruct.recoloring.views import TargetView
+    from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras, scene_views
+    from gsrain_engine.recolor.problem import RecolorSettings
+    from gsrain_engine.recolor.recolor import recolor_scene
+    from gsrain_engine.recolor.views import TargetView
     from gsrain_engine.scene.progress import finished
 
     scene = _street()
@@ -191,11 +189,11 @@ def recolored(folder: Path) -> tuple[float, float]:
 
 def reconstructed(folder: Path) -> tuple[float, float]:
     """Steps of a training on eight views of the street, 480 x 320, near its beginning."""
-    from gsrain_engine.datasets.street.views import capture_street
-    from gsrain_engine.reconstruct.training.settings import load_settings
-    from gsrain_engine.reconstruct.training.start import start_training
+    from gsrain_engine.datasets.street import capture_street
     from gsrain_engine.scene.progress import finished
     from gsrain_engine.scene.rig import rig_camera
+    from gsrain_engine.training.settings import load_settings
+    from gsrain_engine.training.train import start_training
 
     scene, times = _street(), [0.4 * number for number in range(8)]
     cameras = [rig_camera(scene, "waymo_front3", "FRONT", time_s).resized(480, 320) for time_s in times]
@@ -211,8 +209,7 @@ def reconstructed(folder: Path) -> tuple[float, float]:
 
 def transferred(folder: Path, method: str) -> tuple[float, float]:
     """Views of the street, 480 x 320, made rainy."""
-    from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
-    from gsrain_engine.appearance.views.scene_views import scene_views
+    from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras, scene_views
 
     scene = _street()
     views = [*scene_views(scene, chosen_cameras(scene, ViewChoice(count=5, width_px=480)))]
@@ -225,22 +222,21 @@ def transferred(folder: Path, method: str) -> tuple[float, float]:
 
 def _transfer(scene: Any, method: str) -> Any:
     if method == "wet":
-        from gsrain_engine.appearance.wet.scene_surroundings import SceneSurroundings
-        from gsrain_engine.appearance.wet.settings import WetSettings
-        from gsrain_engine.appearance.wet.transfer import WetTransfer
+        from gsrain_engine.appearance.wet_look.environment import SceneSurroundings
+        from gsrain_engine.appearance.wet_look.settings import WetSettings
+        from gsrain_engine.appearance.wet_look.translator import WetTransfer
 
         return WetTransfer(WetSettings(), SceneSurroundings(scene))
-    from gsrain_engine.appearance.cyclegan_turbo.architecture import tiny
-    from gsrain_engine.appearance.cyclegan_turbo.model import build
-    from gsrain_engine.appearance.cyclegan_turbo.transfer import CycleGanTurboTransfer
+    from gsrain_engine.appearance.cyclegan_turbo.model import build, tiny
+    from gsrain_engine.appearance.cyclegan_turbo.translator import CycleGanTurboTransfer
 
     return CycleGanTurboTransfer(build(tiny()))
 
 
 def began_drive(folder: Path) -> tuple[float, float]:
     """Make the shipped scenario ready in the street: route, ground, what stands beside the road."""
-    from gsrain_engine.drive.scenario.scenario_files import load_scenario
-    from gsrain_engine.drive.simulation.simulation import Simulation
+    from gsrain_engine.simulation.scenario_io import load_scenario
+    from gsrain_engine.simulation.simulation import Simulation
 
     scene = _street()
     clock = Clock()
@@ -250,7 +246,7 @@ def began_drive(folder: Path) -> tuple[float, float]:
 
 def drove(folder: Path, agent: str) -> tuple[float, float]:
     """Steps of a drive in the rain; camera-idm sees with a detector that finds nothing."""
-    from gsrain_engine.drive.simulation.drive import drive
+    from gsrain_engine.simulation.simulation import drive
 
     with _driven(agent) as (simulation, driver):
         steps = drive(simulation, driver)
@@ -264,9 +260,9 @@ def drove(folder: Path, agent: str) -> tuple[float, float]:
 def filmed(folder: Path) -> tuple[float, float]:
     """Pictures of a film of a drive."""
     from gsrain_engine.backends import open_renderer
-    from gsrain_engine.drive.playback.drive_video import DriveVideo
-    from gsrain_engine.drive.playback.played_rollout import PlayedRollout
-    from gsrain_engine.drive.simulation.drive import drive_through
+    from gsrain_engine.simulation.playback import PlayedRollout
+    from gsrain_engine.simulation.simulation import drive_through
+    from gsrain_engine.simulation.video import DriveVideo
 
     with _driven("oracle-idm") as (simulation, driver):
         rollout = drive_through(simulation, driver)
@@ -288,10 +284,10 @@ def _driven(agent: str) -> Generator[tuple[Any, Any]]:
     from msgspec import structs
 
     from gsrain_engine.backends import open_renderer
-    from gsrain_engine.drive.agents.camera_idm import CameraIDMAgent
-    from gsrain_engine.drive.agents.registry import open_agent
-    from gsrain_engine.drive.scenario.scenario_files import load_scenario
-    from gsrain_engine.drive.simulation.simulation import Simulation
+    from gsrain_engine.simulation.agents.idm import CameraIDMAgent
+    from gsrain_engine.simulation.agents.registry import open_agent
+    from gsrain_engine.simulation.scenario_io import load_scenario
+    from gsrain_engine.simulation.simulation import Simulation
 
     driver = CameraIDMAgent(_Blind()) if agent == "camera-idm" else open_agent(agent)
     scenario = load_scenario("stationary-lead")

@@ -11,13 +11,13 @@ from statistics import median, quantiles
 
 from swap_stall import FrameCost, Turning
 
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.reconstruct.training.settings import load_settings
-from gsrain_engine.render.context import open_context
-from gsrain_engine.render.machine import machine
-from gsrain_engine.scene.open_scene import open_scene
-from gsrain_engine.session.jobs.reconstruction import Reconstruction
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.jobs.training import Reconstruction
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.render.hardware import machine
+from gsrain_engine.render.opengl.context import open_context
+from gsrain_engine.scene.open import open_scene
+from gsrain_engine.training.settings import load_settings
 
 
 def main() -> None:

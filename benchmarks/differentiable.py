@@ -10,18 +10,14 @@ import numba
 import numpy as np
 import torch
 
-from gsrain_engine.raster.differentiable import render_gaussians
-from gsrain_engine.raster.freed_memory import keep_freed_memory
-from gsrain_engine.raster.gradients.backward_blending import gather
-from gsrain_engine.raster.gradients.backward_colors import colors_back
-from gsrain_engine.raster.gradients.backward_projection import project_back
-from gsrain_engine.raster.gradients.color_gathering import gather_colors
-from gsrain_engine.raster.gradients.forward_blending import Picture, blend
-from gsrain_engine.raster.gradients.forward_projection import TrainedGaussians, project_trained
-from gsrain_engine.raster.splats import nearest_first
-from gsrain_engine.raster.tiles import bin_into_tiles
+from gsrain_engine.malloc_tuning import keep_freed_memory
+from gsrain_engine.render.autodiff.blend import Picture, blend, gather, gather_colors
+from gsrain_engine.render.autodiff.differentiable import render_gaussians
+from gsrain_engine.render.autodiff.project import TrainedGaussians, colors_back, project_back, project_trained
+from gsrain_engine.render.cpu.projection import nearest_first
+from gsrain_engine.render.cpu.tiles import bin_into_tiles
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.random_scene import random_scene
+from gsrain_engine.scene.open import random_scene
 
 
 def gaussians_of(scene: str) -> TrainedGaussians:

@@ -15,15 +15,15 @@ from statistics import median
 import msgspec
 
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.drive.agents.observation import Observation
-from gsrain_engine.drive.hugsim.agent import HugsimAgent
-from gsrain_engine.drive.hugsim.setting import in_hugsim_setting
-from gsrain_engine.drive.scenario.scenario_files import load_scenario
-from gsrain_engine.drive.simulation.simulation import Simulation
-from gsrain_engine.render.machine import machine
+from gsrain_engine.render.hardware import machine
 from gsrain_engine.render.renderer import Renderer
-from gsrain_engine.scene.open_scene import open_to_draw
+from gsrain_engine.scene.open import open_to_draw
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.simulation.agents.base import Observation
+from gsrain_engine.simulation.interop.hugsim_agent import HugsimAgent
+from gsrain_engine.simulation.interop.hugsim_protocol import in_hugsim_setting
+from gsrain_engine.simulation.scenario_io import load_scenario
+from gsrain_engine.simulation.simulation import Simulation
 
 _CLIENT = """
 import pickle, sys

@@ -11,11 +11,11 @@ import time
 
 from imgui_bundle import hello_imgui, imgui, immapp
 
-from app.window import Window
-from app.workspace import begin_session
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.render.machine import machine
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.render.hardware import machine
+from ui.window import Window
+from ui.workspace import begin_session
 
 _LONGEST_S = 300.0
 _SETTLED_S = 3.0

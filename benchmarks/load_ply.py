@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.scene.formats import read_scene
 from gsrain_engine.scene.formats.ply import write_ply
+from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.gaussians import Gaussians
 
 

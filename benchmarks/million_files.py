@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.random_scene import random_scene
-from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.open import random_scene
+from gsrain_engine.scene.scene import Layer, Scene
 
 FORMATS = ("million.ply", "million.splat", "million.spz", "million.sog", "million")
 _PALETTE = 2**16

@@ -20,22 +20,18 @@ import numpy as np
 import torch
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
-from gsrain_engine.appearance.attention.chunked import attended
-from gsrain_engine.appearance.attention.settings import MutualAttention
-from gsrain_engine.appearance.clear_view import ClearView
-from gsrain_engine.appearance.cyclegan_turbo.architecture import TurboArchitecture, tiny
-from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo, build
+from gsrain_engine.appearance.base import ClearView, RainyView
+from gsrain_engine.appearance.capture_views import capture_views
+from gsrain_engine.appearance.covisibility import neighbours
+from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import attended
+from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo, TurboArchitecture, build, tiny
 from gsrain_engine.appearance.cyclegan_turbo.pretrained import open_model
-from gsrain_engine.appearance.cyclegan_turbo.settings import RunSettings
-from gsrain_engine.appearance.cyclegan_turbo.transfer import CycleGanTurboTransfer
-from gsrain_engine.appearance.matching.neighbours import neighbours
-from gsrain_engine.appearance.transfer import RainyView
-from gsrain_engine.appearance.views.capture_views import capture_views
-from gsrain_engine.datasets.street.views import capture_street
-from gsrain_engine.evaluate.consistency.pairs import agreements
-from gsrain_engine.evaluate.consistency.warp_error import pooled
+from gsrain_engine.appearance.cyclegan_turbo.settings import MutualAttention, RunSettings
+from gsrain_engine.appearance.cyclegan_turbo.translator import CycleGanTurboTransfer
+from gsrain_engine.datasets.street import capture_street
+from gsrain_engine.evaluation.consistency import agreements, pooled
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.street.parameters import StreetParameters
+from gsrain_engine.scene.street.layout import StreetParameters
 
 STREET = StreetParameters(length_m=120.0, parked_share=0.3, tree_spacing_m=30.0)
 HEADINGS = {"left": 0.5, "front": 0.0, "right": -0.5}

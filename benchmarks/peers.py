@@ -16,7 +16,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
-from gsrain_engine.scene.formats.gaussian_files import read_gaussians
+from gsrain_engine.scene.formats.registry import read_gaussians
 
 
 class Peer(NamedTuple):

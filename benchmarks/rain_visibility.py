@@ -10,15 +10,14 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.render.scene_view import rain_in
+from gsrain_engine.editor.viewport.camera import default_path
+from gsrain_engine.rain.settings import Rain, load_preset
+from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.draw import rain_in
 from gsrain_engine.render.sequence import FrameSequence
-from gsrain_engine.scene.open_scene import cached_street
+from gsrain_engine.scene.open import cached_street
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.view.home_camera import default_path
 
 SEEDS, INTENSITIES, SIZE = 5, ("1.2", "8.5", "12.0"), (960, 640)
 STREAKS, HAZE = {"haze": False}, {"streaks": False}

@@ -13,19 +13,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from gsrain_engine.datasets.capture import View
-from gsrain_engine.evaluate.image_metrics import psnr
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.reconstruct.recoloring.choice import chosen_pull
-from gsrain_engine.reconstruct.recoloring.problem import ColorProblem
-from gsrain_engine.reconstruct.recoloring.settings import RecolorSettings
-from gsrain_engine.reconstruct.recoloring.setup import SetUp, set_up
-from gsrain_engine.reconstruct.recoloring.views import TargetView
+from gsrain_engine.evaluation.image_metrics import psnr
+from gsrain_engine.recolor.problem import ColorProblem, RecolorSettings, chosen_pull
+from gsrain_engine.recolor.recolor import SetUp, set_up
+from gsrain_engine.recolor.views import TargetView
+from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
-from gsrain_engine.scene.street.labels import Label
+from gsrain_engine.scene.street.layout import Label
 
 MOMENTS, HELD_OUT_MOMENTS, RIG, SIZE = 10, 3, "waymo_front3", (480, 320)
 PLAIN = RecolorSettings(exposure=False, robust=False, rounds=1, tikhonov=0.3)
@@ -62,7 +60,7 @@ def known_change(picture: np.ndarray, view: View) -> np.ndarray:
 
 def street_views(scene: Scene, times_s: list[float], *, mesh: bool = False) -> Iterator[TargetView]:
     """Render the street, and change how it looks by what its mesh says about each pixel."""
-    from gsrain_engine.datasets.street.views import StreetViews
+    from gsrain_engine.datasets.street import StreetViews
     from gsrain_engine.scene.street.build import street_surfaces
 
     photographer = StreetViews(street_surfaces(), with_lead=False)
@@ -82,7 +80,7 @@ def _drawn(scene: Scene, time_s: float, camera: Camera) -> np.ndarray:
 
 def street(*, mesh: bool = False) -> tuple[Scene, list[TargetView], list[TargetView]]:
     """Return the street without cars that move, thirty views of it, and nine from between those."""
-    from gsrain_engine.scene.open_scene import cached_street
+    from gsrain_engine.scene.open import cached_street
 
     scene = replace(cached_street(), actors=())
     times = np.linspace(0.5, 11.5, MOMENTS)
@@ -93,14 +91,13 @@ def street(*, mesh: bool = False) -> tuple[Scene, list[TargetView], list[TargetV
 
 def transferred(scene_path: Path, capture_path: Path) -> tuple[Scene, list[TargetView], list[TargetView]]:
     """Return a reconstructed scene and its photographs in the wet look; every seventh is kept apart."""
-    from gsrain_engine.appearance.views.placed_camera import PlacedCamera
-    from gsrain_engine.appearance.views.scene_views import scene_view
-    from gsrain_engine.appearance.wet.scene_surroundings import SceneSurroundings
-    from gsrain_engine.appearance.wet.settings import WetSettings
-    from gsrain_engine.appearance.wet.transfer import WetTransfer
+    from gsrain_engine.appearance.scene_views import PlacedCamera, scene_view
+    from gsrain_engine.appearance.wet_look.environment import SceneSurroundings
+    from gsrain_engine.appearance.wet_look.settings import WetSettings
+    from gsrain_engine.appearance.wet_look.translator import WetTransfer
     from gsrain_engine.datasets.open_capture import open_capture
-    from gsrain_engine.reconstruct.recoloring.views import target_views
-    from gsrain_engine.scene.formats import read_scene
+    from gsrain_engine.recolor.views import target_views
+    from gsrain_engine.scene.formats.scene_files import read_scene
 
     scene = replace(read_scene(scene_path), actors=())
     targets = list(target_views(scene, open_capture(capture_path), SIZE[0]))
@@ -152,7 +149,7 @@ def adam(scene: Scene, setup: SetUp, rate: float, steps: int, *, mapped: bool = 
     """
     import torch
 
-    from gsrain_engine.raster.differentiable import render_gaussians
+    from gsrain_engine.render.autodiff.differentiable import render_gaussians
 
     started = time.process_time()
     g = Gaussians.concatenate([layer.gaussians for layer in scene.layers])

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from gsrain_engine.datasets.capture import Capture
-from gsrain_engine.datasets.street.views import capture_street
-from gsrain_engine.reconstruct.training.settings import load_settings
-from gsrain_engine.reconstruct.training.task import ReconstructionTask
-from gsrain_engine.reconstruct.training.training import reconstruct
-from gsrain_engine.render.machine import machine
+from gsrain_engine.datasets.street import capture_street
+from gsrain_engine.render.hardware import machine
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.open_scene import cached_street
+from gsrain_engine.scene.open import cached_street
 from gsrain_engine.scene.rig import rig_camera
+from gsrain_engine.training.settings import load_settings
+from gsrain_engine.training.task import ReconstructionTask
+from gsrain_engine.training.train import reconstruct
 
 WIDTH, HEIGHT = 480, 320
 VIEWS = 30

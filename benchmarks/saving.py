@@ -15,11 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.render.machine import machine
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.random_scene import random_scene
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.render.hardware import machine
+from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.open import random_scene
 
 _PAUSE_S = 0.001
 """Between two calls of `update`, for which a window would draw."""

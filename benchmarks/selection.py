@@ -8,25 +8,47 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from gsrain_engine.kernel_cache import use_kernel_cache
+from gsrain_engine.compile_cache import use_kernel_cache
 
 use_kernel_cache()
 
-from gsrain_engine.render.scene_view import Shot  # noqa: E402
-from gsrain_engine.scene.mask import Mask  # noqa: E402
-from gsrain_engine.scene.random_scene import random_scene, random_scene_camera  # noqa: E402
+from gsrain_engine.editor.edits.gaussians import CropBox  # noqa: E402
+from gsrain_engine.editor.selection import screen  # noqa: E402
+from gsrain_engine.editor.selection.attributes import (  # noqa: E402
+    ATTRIBUTES,
+    AttributeHistogram,
+    in_range,
+)
+from gsrain_engine.editor.selection.candidates import (  # noqa: E402
+    alike,
+    base_color,
+    combined,
+    inverted,
+)
+from gsrain_engine.editor.selection.screen import (  # noqa: E402
+    ALL_THROUGH,
+    Reach,
+    in_picture,
+)
+from gsrain_engine.editor.selection.volume import (  # noqa: E402
+    Ball,
+    flooded,
+    grown,
+    in_volume,
+    rim,
+)
+from gsrain_engine.editor.viewport.picking import (  # noqa: E402
+    Picked,
+    pick,
+    pick_point,
+)
+from gsrain_engine.render.draw import Shot  # noqa: E402
+from gsrain_engine.scene.flags import Mask  # noqa: E402
+from gsrain_engine.scene.open import (  # noqa: E402
+    random_scene,
+    random_scene_camera,
+)
 from gsrain_engine.scene.scene import Scene  # noqa: E402
-from gsrain_engine.session.edits.cropping import CropBox  # noqa: E402
-from gsrain_engine.session.selection import image_shapes  # noqa: E402
-from gsrain_engine.session.selection.attributes import ATTRIBUTES, in_range  # noqa: E402
-from gsrain_engine.session.selection.colors import alike, base_color  # noqa: E402
-from gsrain_engine.session.selection.combine import combined, inverted  # noqa: E402
-from gsrain_engine.session.selection.flood import flooded  # noqa: E402
-from gsrain_engine.session.selection.histogram import AttributeHistogram  # noqa: E402
-from gsrain_engine.session.selection.in_picture import ALL_THROUGH, Reach, in_picture  # noqa: E402
-from gsrain_engine.session.selection.neighbourhood import grown, rim  # noqa: E402
-from gsrain_engine.session.selection.volumes import Ball, in_volume  # noqa: E402
-from gsrain_engine.session.view.picking import Picked, pick, pick_point  # noqa: E402
 
 WIDTH, HEIGHT = 1280, 800
 TOLERANCE, REACH, NEAR_M = 0.15, 2.0, 0.05
@@ -52,15 +74,15 @@ def tools(scene: Scene, shot: Shot) -> dict[str, Callable[[], Mapping[str, Mask]
     color = base_color(scene.parts()[0], picked.gaussian)
 
     def rectangle() -> np.ndarray:
-        return image_shapes.rectangle((300, 200), (1000, 700), WIDTH, HEIGHT)
+        return screen.rectangle((300, 200), (1000, 700), WIDTH, HEIGHT)
 
     def by_shape(pixels: Callable[[], np.ndarray], reach: Reach = ALL_THROUGH) -> Callable[[], Mapping[str, Mask]]:
         return lambda: in_picture(scene, shot, pixels(), reach)
 
     found: dict[str, Callable[[], Mapping[str, Mask]]] = {
         "rectangle": by_shape(rectangle),
-        "lasso": by_shape(lambda: image_shapes.polygon(lasso, WIDTH, HEIGHT)),
-        "brush": by_shape(lambda: image_shapes.stroke(stroke, 24, WIDTH, HEIGHT)),
+        "lasso": by_shape(lambda: screen.polygon(lasso, WIDTH, HEIGHT)),
+        "brush": by_shape(lambda: screen.stroke(stroke, 24, WIDTH, HEIGHT)),
         "rectangle to a depth": by_shape(rectangle, Reach("to a depth", 10.0)),
         "rectangle touching": by_shape(rectangle, Reach(touching=True)),
         "rectangle front-most": by_shape(rectangle, Reach("front-most")),

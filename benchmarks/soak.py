@@ -70,8 +70,8 @@ def soak(arguments: Any, folder: Path, samples: list[Sample]) -> list[str]:
     """Open the window and work in it; returns what the program complained of."""
     from soak_person import Person
 
-    from app.window import Window
-    from app.workspace import begin_session
+    from ui.window import Window
+    from ui.workspace import begin_session
 
     window = Window(lambda: begin_session(arguments.scenes[0], None))
     parameters = window.parameters()

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.session.edits.floaters import FloaterRules
-from gsrain_engine.session.jobs.floater_job import FloaterJob
-from gsrain_engine.session.selection.combine import combined
-from gsrain_engine.session.session import Session
-from ui.actions import ACTIONS
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.edits.floaters import FloaterRules
+from gsrain_engine.editor.jobs.floaters import FloaterJob
+from gsrain_engine.editor.selection.candidates import combined
+from gsrain_engine.scene.flags import Mask
+from ui.commands.registry import ACTIONS
 
 _BY_NAME = {action.name: action for action in ACTIONS}
 _ANSWERS = ("Don't save", "Replace", "Overwrite", "Later", "Go on", "OK")

@@ -16,15 +16,15 @@ from typing import Any, NamedTuple
 import moderngl
 import numpy as np
 
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.render.context import open_context
-from gsrain_engine.render.machine import machine
+from gsrain_engine.editor.drawing.live_view import LiveView
+from gsrain_engine.editor.editor import Session, WindowBackend
+from gsrain_engine.editor.viewport_state import StagedScene
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.render.hardware import machine
+from gsrain_engine.render.opengl.context import open_context
 from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE
-from gsrain_engine.scene.random_scene import random_scene, random_scene_camera
+from gsrain_engine.scene.open import random_scene, random_scene_camera
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.document.staged_scene import StagedScene
-from gsrain_engine.session.picture.live_view import LiveView
-from gsrain_engine.session.session import Session, WindowBackend
 
 _BEFORE, _AFTER = 15, 12
 """Frames before each swap, and after it."""

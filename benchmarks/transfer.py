@@ -13,10 +13,9 @@ from typing import Any
 
 import torch
 
-from gsrain_engine.appearance.cyclegan_turbo.architecture import ARCHITECTURES
-from gsrain_engine.appearance.cyclegan_turbo.duration import estimated_seconds, measured_speed
-from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo, build
+from gsrain_engine.appearance.cyclegan_turbo.model import ARCHITECTURES, CycleGanTurbo, build
 from gsrain_engine.appearance.cyclegan_turbo.pretrained import open_model
+from gsrain_engine.appearance.cyclegan_turbo.translator import estimated_seconds, measured_speed
 
 TYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
 

@@ -8,17 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsrain_engine.scene.grading import Grading
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.random_scene import random_scene
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.edits import layers
-from gsrain_engine.session.edits.compacting import compact
-from gsrain_engine.session.edits.cropping import CropBox, crop
-from gsrain_engine.session.edits.floaters import FloaterRules, FloaterSearch, select_floaters
-from gsrain_engine.session.edits.level import level_from_ground
-from gsrain_engine.session.edits.marking import delete_selected, hide_selected
-from gsrain_engine.session.edits.moving import move_member, move_selected, moving
+from gsrain_engine.editor.edits import layers
+from gsrain_engine.editor.edits.floaters import FloaterRules, FloaterSearch, select_floaters
+from gsrain_engine.editor.edits.gaussians import CropBox, compact, crop, delete_selected, hide_selected
+from gsrain_engine.editor.edits.level import level_from_ground
+from gsrain_engine.editor.edits.transform import move_member, move_selected, moving
+from gsrain_engine.scene.flags import Mask
+from gsrain_engine.scene.open import random_scene
+from gsrain_engine.scene.scene import Grading, Scene
 
 
 def arrays_of(scene: Scene) -> Iterator[np.ndarray]:

@@ -6,11 +6,11 @@ from typing import get_args
 
 from PIL import Image, ImageDraw, ImageFont
 
-from app.command_line import run
-from gsrain_engine.reconstruct.wet_scene import wet_scene
-from gsrain_engine.render.look import Look
-from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.scene.open_scene import open_scene
+from app.main import run
+from gsrain_engine.recolor.wet_scene import wet_scene
+from gsrain_engine.render.renderer import Look
+from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.open import open_scene
 from gsrain_engine.scene.progress import finished
 
 IMAGES = Path(__file__).parent / "images"

@@ -89,7 +89,7 @@ def commands_page() -> str:
     """Write the reference of the command line, from the program itself."""
     if str(ROOT) not in sys.path:
         sys.path.insert(0, str(ROOT))
-    from app.command_line import app
+    from app.main import app
 
     text = app.generate_docs(output_format="markdown")
     text = _LISTS.sub("", _CONTENTS.sub("", text, count=1))

@@ -12,16 +12,16 @@ from imgui_bundle import hello_imgui, imgui
 from imgui_bundle.immapp import testing
 from PIL import Image
 
-from app.commands.street import street
-from app.window import Window
-from gsrain_engine.kernel_cache import use_kernel_cache
-from gsrain_engine.rain.weather import passing_shower
-from gsrain_engine.scene.open_scene import open_scene
-from gsrain_engine.session.camera_path.files import path_from_drive
-from gsrain_engine.session.session import Session
-from ui.panels.table import PANELS
-from ui.shortcuts import chord
-from ui.tools import TOOLS
+from app.scene import street
+from gsrain_engine.compile_cache import use_kernel_cache
+from gsrain_engine.editor.camera_path import path_from_drive
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.rain.keyframes import passing_shower
+from gsrain_engine.scene.open import open_scene
+from ui.commands.base import chord
+from ui.panels.registry import BUILT_IN_PANELS
+from ui.tools.registry import TOOLS
+from ui.window import Window
 
 IMAGES = Path(__file__).parent / "images"
 _SIZE = (1440, 900)
@@ -134,7 +134,9 @@ def picture_panels(camera: Photographer) -> None:
     session.rainy.make(session)
     while session.lab.busy is not None or session.running_jobs or session.staged is not None:
         camera.frames(1)
-    camera.take_panels(*(panel.title for panel in PANELS if panel.title not in ("Capture", "Drive", "Drive plots")))
+    camera.take_panels(
+        *(panel.title for panel in BUILT_IN_PANELS if panel.title not in ("Capture", "Drive", "Drive plots"))
+    )
 
 
 def picture_tools(camera: Photographer) -> None:

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.render.recording import DEFAULT_SIZE_PX
-from gsrain_engine.scene.camera import Camera as Camera
-from gsrain_engine.scene.camera import look_at as look_at
-from gsrain_engine.scene.paths import camera_path
-from gsrain_engine.scene.paths.files import read_camera_path, write_camera_path
+from gsrain_engine.editor.viewport import camera as views
+from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX
+from gsrain_engine.scene import camera_path
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.camera_path_io import read_camera_path, write_camera_path
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.view import home_camera as views
 
 
 def home_camera(scene: Scene, size: tuple[int, int] = DEFAULT_SIZE_PX) -> Camera:

@@ -1,16 +1,12 @@
 """Closed-loop drives: an agent drives through a scene in the rain, and is measured."""
 
 from gsrain_engine.backends import Backend
-from gsrain_engine.drive.agents.agent import Agent as Agent
-from gsrain_engine.drive.metrics.comparison import Run as Run
-from gsrain_engine.drive.metrics.summary import DriveMetrics as DriveMetrics
-from gsrain_engine.drive.rollouts.json_lines import read_rollout as read_rollout
-from gsrain_engine.drive.rollouts.rollout import Rollout as Rollout
-from gsrain_engine.drive.scenario.scenario import Scenario as Scenario
-from gsrain_engine.drive.scenario.scenario_files import load_scenario as load_scenario
-from gsrain_engine.drive.simulation.drive import drive_scene
-from gsrain_engine.rain.rain import Rain as RainSettings
+from gsrain_engine.rain.settings import Rain as RainSettings
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.simulation.agents.base import Agent
+from gsrain_engine.simulation.metrics.summary import Run
+from gsrain_engine.simulation.scenario import Scenario
+from gsrain_engine.simulation.simulation import drive_scene
 
 
 def drive(

@@ -8,9 +8,9 @@ import numpy as np
 import PIL.Image
 from jaxtyping import Float32, UInt8
 
-from gsrain_engine.render.frame import Frame
-from gsrain_engine.render.frame_sink import write_still
-from gsrain_engine.scene.srgb import srgb_to_linear
+from gsrain_engine.render.images import write_still
+from gsrain_engine.render.renderer import Frame
+from gsrain_engine.scene.geometry import srgb_to_linear
 
 
 class Image:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.rain.rain import Rain as RainSettings
-from gsrain_engine.untrusted.explained_errors import converted
+from gsrain_engine.rain.settings import Rain as RainSettings
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.safe_io.errors import converted
 
 if TYPE_CHECKING:
-    from gsrain_engine.rain.counted_drops import CountedDrops
+    from gsrain_engine.disdrometer.measurement import CountedDrops
 
 _FIELDS = {"intensity": "intensity_mm_h", "wind": "wind_m_s", "exposure": "exposure_s", "gusts": "gust_m_s"}
 """Short names, which the units in the docstring go with, and the fields that they set."""
@@ -80,7 +80,7 @@ class Rain(ABC):  # noqa: B024  it is one so that settings count as its instance
         Raises:
             ValueError: When a file can't be read, has too little rain, or contradicts itself.
         """
-        from gsrain_engine.rain.fitting.calibrate_files import rain_as_measured
+        from gsrain_engine.disdrometer.fit import rain_as_measured
 
         paths = [files] if isinstance(files, str | Path) else list(files)
         rain = rain_as_measured(paths, intensity, save_to=save_to)
@@ -135,8 +135,8 @@ def measure_rain(rain: RainSettings, seconds: float = 60.0, *, area: float = 0.5
     Raises:
         ValueError: For a time that is not above 0, or an area on which the drop field would repeat.
     """
-    from gsrain_engine.rain.rainfall import Rainfall
-    from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
+    from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
+    from gsrain_engine.rain.simulation import Rainfall
 
     if not 0 < seconds < np.inf:
         raise ValueError(f"seconds {seconds:g}: must be above 0")

@@ -10,16 +10,16 @@ from types import TracebackType
 from typing import Any, Literal
 
 from gsrain_engine.backends import Backend, open_renderer
-from gsrain_engine.rain.rain import Rain as RainSettings
-from gsrain_engine.render.film import film, film_frames
-from gsrain_engine.render.recording import DEFAULT_SIZE_PX, Recording
-from gsrain_engine.render.still import render_still
+from gsrain_engine.editor.viewport.camera import default_path, home_camera
+from gsrain_engine.rain.settings import Rain as RainSettings
+from gsrain_engine.render.export import film, film_frames
+from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, Recording
+from gsrain_engine.render.sequence import render_still
+from gsrain_engine.safe_io.errors import converted
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.paths.camera_path import CameraPath
+from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.view.home_camera import default_path, home_camera
-from gsrain_engine.untrusted.explained_errors import converted
 
 from .image import Image
 

@@ -16,12 +16,11 @@ from queue import SimpleQueue
 from types import TracebackType
 from typing import Any, BinaryIO, Literal, cast
 
-from gsrain_engine.rain.rain import Rain as RainSettings
+from gsrain_engine.editor.jobs.job import temporary_folder, write_copy
+from gsrain_engine.rain.settings import Rain as RainSettings
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.formats.known_files import KnownFiles
+from gsrain_engine.scene.formats.scene_folder import KnownFiles
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.jobs.job_folder import temporary_folder
-from gsrain_engine.session.jobs.scene_copy import write_copy
 
 from .viewer_messages import Close, GetState, Reply, Request, Screenshot, SetCamera, SetRain, SetScene, receive, send
 

@@ -1,17 +1,24 @@
 """Which renderer draws: OpenGL on a GPU, the processor elsewhere, gsplat where it is asked for."""
 
+import importlib.util
 from collections.abc import Generator
 from contextlib import contextmanager
-from typing import Literal
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal
 
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.raster.cuda_backend import open_cuda_renderer
-from gsrain_engine.render.context import NoOpenGLError, is_software, open_context
-from gsrain_engine.render.lost_context import check_context
-from gsrain_engine.render.machine import processor
-from gsrain_engine.render.offscreen_renderer import OffscreenRenderer
-from gsrain_engine.render.renderer import Renderer
-from gsrain_engine.render.splat_renderer import SplatRenderer
+import numpy as np
+
+from .render.cpu.renderer import CpuRenderer
+from .render.hardware import processor
+from .render.opengl.context import NoOpenGLError, check_context, is_software, open_context
+from .render.opengl.renderer import OffscreenRenderer, SplatRenderer
+from .render.renderer import Renderer
+from .scene.camera import Camera
+from .scene.gaussians import Gaussians, sh_from_color
+from .scene.scene import Part
+
+if TYPE_CHECKING:
+    from .render.cuda.renderer import CudaRenderer
 
 Backend = Literal["auto", "opengl", "cpu", "cuda"]
 
@@ -59,3 +66,45 @@ def device_of(renderer: Renderer) -> str:
     if isinstance(renderer, SplatRenderer):
         return renderer.context.info["GL_RENDERER"]
     return getattr(renderer, "device_name", None) or processor()
+
+
+# § Opens the `cuda` back end where there is a GPU, torch and gsplat; none of them is imported before that.
+
+_NEEDED = ("torch", "gsplat")
+
+
+class NoCudaError(OSError):
+    """gsplat can't draw on this machine; says what is missing and how to get it."""
+
+
+def open_cuda_renderer() -> "CudaRenderer":
+    """Make the renderer and draw one Gaussian with it: gsplat compiles its kernels with nvcc at its first use.
+
+    Raises:
+        NoCudaError: When torch, gsplat or the GPU is missing, or gsplat fails.
+    """
+    for name in _NEEDED:
+        if importlib.util.find_spec(name) is None:
+            raise NoCudaError(f"the cuda back end needs {name}, which is not installed: pip install 'gsrain[cuda]'")
+    torch: Any = import_module("torch")
+    if not torch.cuda.is_available():
+        raise NoCudaError("the cuda back end needs an NVIDIA GPU, and torch sees none: use --backend cpu or opengl")
+    try:
+        gsplat: Any = import_module("gsplat")
+        from .render.cuda.renderer import CudaRenderer
+
+        renderer = CudaRenderer(gsplat.rasterization, "cuda")
+        renderer.draw([_one_gaussian()], Camera(16, 16, 16.0, 16.0, 8.0, 8.0))
+        renderer.read()
+    except Exception as error:  # compilers and drivers fail in their own ways: whatever they say goes into the message
+        raise NoCudaError(
+            f"gsplat can't draw here; it needs the CUDA toolkit (nvcc) of torch's version: {error}"
+        ) from error
+    return renderer
+
+
+def _one_gaussian() -> Part:
+    f = np.float32
+    color = sh_from_color(np.full((1, 3), 0.5, f))
+    axes = np.array([[1, 0, 0, 0]], f)
+    return Part(Gaussians(np.array([[0, 0, 2]], f), np.full((1, 3), 0.1, f), axes, np.ones(1, f), color), np.eye(4))

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsrain_engine.scene.members import Actor
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Actor, Track
 from small_scene import patch, small_scene
 
 NEAR_M, FAR_M = 10.0, 20.0

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from gsrain_engine.datasets.capture import Capture, View
-from gsrain_engine.scene.rotations import quaternions_from_matrices
+from gsrain_engine.scene.geometry import quaternions_from_matrices
 
 IDS = {
     "SIMPLE_PINHOLE": 0,

@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from gsrain_engine.drive.road.route import Route
-from gsrain_engine.drive.vehicle.bicycle import moved_on
-from gsrain_engine.drive.vehicle.state import VehicleState
-from gsrain_engine.drive.vehicle.vehicle import Vehicle
+from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.vehicle import Vehicle, VehicleState, moved_on
 
 CAR = Vehicle()
 STRAIGHT = Route(np.array([[0.0, 0], [500, 0]]))

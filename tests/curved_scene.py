@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Track
 from small_scene import small_scene
 
 RADIUS_M = 40.0

@@ -5,9 +5,9 @@ from typing import Literal
 
 import numpy as np
 
-from gsrain_engine.rain.falling_rain import FallingRain
+from gsrain_engine.rain.simulation import FallingRain
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.srgb import linear_to_srgb
+from gsrain_engine.scene.geometry import linear_to_srgb
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 
 from gsrain_engine.datasets.capture import Capture, View
-from gsrain_engine.datasets.geometry.lens_projection import project_points
-from gsrain_engine.datasets.geometry.lidar_depth import nearest_sweep
+from gsrain_engine.datasets.geometry import nearest_sweep, project_points
 
 
 def edge_agreement(view: View, points: np.ndarray) -> float:

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from gsrain_engine.rain.disdrometer.spectra import DropSpectra
-from gsrain_engine.rain.drop_sizes import DropSizes
+from gsrain_engine.disdrometer.spectra import DropSpectra
+from gsrain_engine.rain.properties import DropSizes
 
 DIAMETER_EDGES_MM = np.concatenate(
     [[0], np.cumsum([0.125] * 10 + [0.25] * 5 + [0.5] * 5 + [1] * 5 + [2] * 5 + [3] * 2)]

@@ -7,8 +7,8 @@ import numpy as np
 from PIL import Image
 
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture
-from gsrain_engine.datasets.geometry.lens_projection import project_points
-from gsrain_engine.scene.rotations import quaternions_from_matrices
+from gsrain_engine.datasets.geometry import project_points
+from gsrain_engine.scene.geometry import quaternions_from_matrices
 
 WIDTH, HEIGHT, FOCAL = 64, 48, 40.0
 YAW = np.radians(30.0)

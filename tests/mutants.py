@@ -39,10 +39,10 @@ ROOT = Path(__file__).resolve().parents[1]
 SUBJECTS = (
     "gsrain_engine/rain",
     "gsrain_engine/scene/formats",
-    "gsrain_engine/drive/metrics",
-    "gsrain_engine/drive/hugsim/pipes.py",
-    "gsrain_engine/evaluate/*.py",
-    "gsrain_engine/untrusted",
+    "gsrain_engine/simulation/metrics",
+    "gsrain_engine/simulation/interop/hugsim_protocol.py",
+    "gsrain_engine/evaluation/*.py",
+    "gsrain_engine/safe_io",
 )
 """Folders and files that are changed."""
 DRAWN = ("plot.py", "figures.py", "curves_over_time.py", "birds_eye.py", "run_page.py")

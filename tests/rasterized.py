@@ -4,13 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gsrain_engine.raster.compositing import composite
-from gsrain_engine.raster.projection import project
-from gsrain_engine.raster.tiles import bin_into_tiles
-from gsrain_engine.raster.view_weights import expected
-from gsrain_engine.render.frame import Frame
+from gsrain_engine.render.cpu.compositing import composite, expected
+from gsrain_engine.render.cpu.projection import project
+from gsrain_engine.render.cpu.tiles import bin_into_tiles
+from gsrain_engine.render.renderer import Frame
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.members import Part
+from gsrain_engine.scene.scene import Part
 
 
 def rasterize(parts: Sequence[Part], camera: Camera, rain: Sequence[np.ndarray | None] | None = None) -> Frame:

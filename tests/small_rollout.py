@@ -3,8 +3,8 @@
 import msgspec
 import numpy as np
 
-from gsrain_engine.drive.rollouts.rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
-from gsrain_engine.drive.vehicle.vehicle import Vehicle
+from gsrain_engine.simulation.rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
+from gsrain_engine.simulation.vehicle import Vehicle
 
 CAR = Vehicle(length_m=4.0, width_m=2.0, rear_overhang_m=1.0)
 """Its box reaches from 1 m behind its rear axle to 3 m ahead of it, and 1 m to each side."""

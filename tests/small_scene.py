@@ -3,9 +3,7 @@
 import numpy as np
 
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.scene import RigCamera, Scene
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Layer, RigCamera, Scene, Track
 
 AHEAD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """Axes of a camera that looks along +x, z up."""

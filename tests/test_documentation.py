@@ -9,13 +9,13 @@ import pytest
 import yaml
 from cyclopts import CycloptsError, UnknownCommandError, UnknownOptionError
 
-from app.command_line import COMMANDS, app, benchmarks, evaluations
+from app.main import COMMANDS, app, benchmarks, evaluations
 from documentation import PAGES, anchors_of, commands_of, links_of, text_of
 from repository import REPOSITORY
-from ui.actions import ACTIONS
-from ui.panels.table import PANELS
-from ui.shortcuts import chord_name
-from ui.tools import TOOLS
+from ui.commands.base import chord_name
+from ui.commands.registry import ACTIONS
+from ui.panels.registry import BUILT_IN_PANELS
+from ui.tools.registry import TOOLS
 
 OF_EXTENSIONS = {("evaluate", "contrast"), ("evaluate", "NAME")}
 """Commands that docs/extending.md adds."""
@@ -63,7 +63,7 @@ def test_every_picture_is_on_a_page():
 
 def test_every_panel_has_its_picture_on_the_page_of_all_panels():
     page = text_of(Path("docs/guide/panels.md"))
-    for panel in PANELS:
+    for panel in BUILT_IN_PANELS:
         picture = panel.title.lower().replace(" ", "_").replace("-", "_")
         assert f"![{panel.title}](../images/panel_{picture}.jpg)" in page
         assert f"**{panel.title}**" in page

@@ -6,11 +6,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gsrain_engine.drive.scenario.scenario import Scenario, ScenarioUser
-from gsrain_engine.drive.traffic.behaviours import BehaviourSettings
-from gsrain_engine.drive.traffic.scripted_track import TrackPoint
-from gsrain_engine.drive.vehicle.controller_settings import ControllerSettings
-from gsrain_engine.drive.vehicle.vehicle import Vehicle
+from gsrain_engine.simulation.controller_base import ControllerSettings
+from gsrain_engine.simulation.scenario import Scenario, ScenarioUser
+from gsrain_engine.simulation.traffic.models import BehaviourSettings
+from gsrain_engine.simulation.traffic.tracks import TrackPoint
+from gsrain_engine.simulation.vehicle import Vehicle
 
 _DOCS = Path(__file__).parents[1] / "docs"
 _BEHAVIOURS = typing.get_args(BehaviourSettings)

@@ -14,12 +14,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.drive.rollouts.json_lines import read_rollout
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.paths.files import read_camera_path
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.camera_path_io import read_camera_path
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.scene.scene import Layer, Track
+from gsrain_engine.simulation.rollout_io import read_rollout
 from repository import REPOSITORY
 from small_scene import patch, small_scene
 

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
-from app.commands.installed_extensions import describe, installed_extensions
+from app.doctor import describe, installed_extensions
+from app.main import BAD_INPUT, run
 from extension_package import installed, titled_blocks
 from gsrain_engine.api import Agent, Scenario, Simulation, drive_through, open_agent
-from gsrain_engine.appearance.methods import usable_methods
-from gsrain_engine.appearance.transferred_folder import read_transferred
+from gsrain_engine.appearance.output_folder import read_transferred
+from gsrain_engine.appearance.registry import usable_methods
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
-from gsrain_engine.extensions import GROUPS
-from gsrain_engine.rain.disdrometer.files import read_disdrometer
-from gsrain_engine.scene.formats import read_scene, write_scene
+from gsrain_engine.disdrometer.open import read_disdrometer
+from gsrain_engine.plugins import GROUPS
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from repository import REPOSITORY
 from small_scene import small_scene
 
@@ -102,7 +102,7 @@ def test_a_decoder_reads_what_a_detector_gives(rain_lab, tmp_path):
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
     from evaluate.detection.tiny_onnx import write_constant
-    from gsrain_engine.evaluate.detection.detector import open_detector
+    from gsrain_engine.evaluation.detection.detector import open_detector
 
     logits = np.full((1, 5, 4), -9.0)
     logits[0, :, 3] = 3.0  # nothing

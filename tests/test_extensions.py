@@ -7,20 +7,21 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
+from app.main import BAD_INPUT, run
 from extension_package import installed
-from gsrain_engine import extensions
-from gsrain_engine.appearance.methods import method_names, method_of, open_transfer, usable_methods
-from gsrain_engine.appearance.transfer_settings import TransferSettings
-from gsrain_engine.appearance.wet.picture_surroundings import PictureSurroundings
+from gsrain_engine import plugins
+from gsrain_engine.appearance.base import TransferSettings
+from gsrain_engine.appearance.registry import method_names, method_of, open_transfer, usable_methods
+from gsrain_engine.appearance.wet_look.environment import PictureSurroundings
 from gsrain_engine.datasets.open_capture import capture_format
-from gsrain_engine.evaluate.detection.decoders import Layout, decoded
-from gsrain_engine.evaluate.detection.description import DetectorDescription
-from gsrain_engine.extensions import GROUPS, PANELS, ExtensionError, extension
-from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, read_disdrometer
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.scene.formats.gaussian_files import writable_suffixes
+from gsrain_engine.disdrometer.open import read_disdrometer
+from gsrain_engine.disdrometer.spectra import DisdrometerFileError
+from gsrain_engine.evaluation.detection.decoders import Layout, decoded
+from gsrain_engine.evaluation.detection.description import DetectorDescription
+from gsrain_engine.plugins import GROUPS, PANELS, ExtensionError, extension
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.formats.registry import writable_suffixes
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_scene import small_scene
 
 MODULE = """
@@ -80,7 +81,7 @@ SETTINGS = TransferSettings()
 def bad_lab(tmp_path_factory):
     """A package whose extensions are all unfit but one."""
     with installed(tmp_path_factory.mktemp("site"), "bad-lab", {"bad_lab.py": MODULE}, ENTRIES):
-        extensions.say_once.cache_clear()
+        plugins.say_once.cache_clear()
         yield
 
 

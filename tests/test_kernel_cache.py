@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from llvmlite import binding
 
-from gsrain_engine import kernel_cache as cache
-from gsrain_engine.kernel_cache import has_kernels, kernel_cache, mark_kernels, use_kernel_cache
-from gsrain_engine.session.picture.cpu_picture import compile_kernels
+from gsrain_engine import compile_cache as cache
+from gsrain_engine.compile_cache import has_kernels, kernel_cache, mark_kernels, use_kernel_cache
+from gsrain_engine.editor.drawing.textures import compile_kernels
 
 
 @pytest.fixture
@@ -82,7 +82,7 @@ def test_processes_may_make_and_remove_folders_at_once(tmp_path, sources):
 
 
 def test_processes_may_compile_into_the_same_folder_at_once(tmp_path):
-    code = "from gsrain_engine.datasets.files.tfrecord import masked_crc32c; print(masked_crc32c(b'rain'))"
+    code = "from gsrain_engine.datasets.io.records import masked_crc32c; print(masked_crc32c(b'rain'))"
     kept = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     running = [
         subprocess.Popen(

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from benchmarks.rain_visibility import StreetStills
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.rain.rainfall import Rainfall
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.render.scene_view import rain_in
+from gsrain_engine.editor.viewport.camera import default_path
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.draw import rain_in
 from gsrain_engine.render.sequence import FrameSequence
-from gsrain_engine.scene.open_scene import cached_street
-from gsrain_engine.session.view.home_camera import default_path
+from gsrain_engine.scene.open import cached_street
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SEEDS, INTENSITIES = range(5), ("1.2", "8.5", "12.0")

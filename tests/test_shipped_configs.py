@@ -3,11 +3,11 @@
 import msgspec
 import pytest
 
-from gsrain_engine.appearance.finetuning.settings_file import load_finetuning
-from gsrain_engine.drive.sweeps.sweep import load_sweep
-from gsrain_engine.evaluate.comparison.settings import load_comparison
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.shipped_configs import standing_beside
+from gsrain_engine.appearance.finetune.settings import load_finetuning
+from gsrain_engine.evaluation.compare_results import load_comparison
+from gsrain_engine.presets import standing_beside
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.sweep.settings import load_sweep
 
 DRIVES = """
 kind: drive

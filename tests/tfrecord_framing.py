@@ -2,7 +2,7 @@
 
 import struct
 
-from gsrain_engine.datasets.files.tfrecord import masked_crc32c
+from gsrain_engine.datasets.io.records import masked_crc32c
 
 
 def framed(content: bytes) -> bytes:

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from app.workspace import begin_session
-from gsrain_engine.kernel_cache import use_kernel_cache
+from gsrain_engine.compile_cache import use_kernel_cache
+from gsrain_engine.editor.editor import Session
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.session import Session
-from ui.shortcuts import chord
+from ui.commands.base import chord
+from ui.workspace import begin_session
 from window_driver import Driver, imgui
 
 KEY = imgui.Key
@@ -191,13 +191,13 @@ def second(folder):
 
 
 def _pivot_on_screen(person):
-    from gsrain_engine.session.edits.moving import pivot
+    from gsrain_engine.editor.edits.transform import pivot
 
     return _on_screen(person, pivot(person.session.scene, "layers/street", 0.0))
 
 
 def _up_on_screen(person, pixels):
-    from gsrain_engine.session.edits.moving import pivot
+    from gsrain_engine.editor.edits.transform import pivot
 
     middle = pivot(person.session.scene, "layers/street", 0.0)
     up = _on_screen(person, middle + [0, 0, 5.0]) - _on_screen(person, middle)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageGrab
 
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.editor import Session
 from small_scene import small_scene
 
 if not (os.environ.get("DISPLAY") or shutil.which("Xvfb")):
@@ -19,7 +19,7 @@ testing = pytest.importorskip("imgui_bundle.immapp.testing")
 imgui = pytest.importorskip("imgui_bundle").imgui
 hello_imgui = pytest.importorskip("imgui_bundle").hello_imgui
 
-from app.window import Window  # noqa: E402
+from ui.window import Window  # noqa: E402
 
 
 class Driver:

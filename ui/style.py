@@ -2,9 +2,10 @@
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
-from gsrain_engine.session.preferences.preferences import Preferences
+from gsrain_engine.editor.preferences import Preferences
 
 _THEMES = {"dark": hello_imgui.ImGuiTheme_.darcula_darker, "light": hello_imgui.ImGuiTheme_.light_rounded}
+
 _LEAST_TAB_PX = 30.0
 """In a narrow window tabs get short before they have to be scrolled."""
 

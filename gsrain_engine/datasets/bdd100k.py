@@ -11,18 +11,20 @@ from typing import Any
 
 import msgspec
 
-from gsrain_engine.untrusted.limits import read_file
-
-from .capture import Capture, CaptureError
-from .files.picture_file import pictures_in
-from .image_folder import capture_without_poses
-from .named_problems import some_names
+from ..safe_io.limits import read_file
+from .capture import Capture, CaptureError, some_names
+from .capture_folder import capture_without_poses
+from .io.images import pictures_in
 
 _NAME = re.compile(r"[0-9a-f]{8}-[0-9a-f]{8}(-\d{7})?")
+
 _IMAGE_LAYOUTS = (".", "images", "images/*", "images/*/*", "bdd100k/images/*/*")
+
 _FOLDERS_UP = 4
+
 _FIRST = 20
 """Pictures of a folder that tell its kind by their names."""
+
 _MOST_LABEL_FILES = 200_000
 
 

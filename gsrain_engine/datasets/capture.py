@@ -1,20 +1,23 @@
 """What a data set reader returns: pictures, the cameras that took them, and what else is known about the place."""
 
-from collections.abc import Callable, Iterator, Mapping
+import os
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
-from pathlib import PurePath
+from pathlib import Path, PurePath, PurePosixPath
 from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Shaped, UInt8
 
-from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.track import Track
-from gsrain_engine.untrusted.printable import printable
+from ..safe_io.text_files import printable
+from ..scene.camera import Camera
+from ..scene.scene import Track
 
 EGO_HEIGHT_M = 1.5
 """Height of the ego frame's origin above the road in captures and scenes: a sensor on a car, as the paper has it."""
-
 
 _LONGEST = 1200
 """Signs of a sentence about a capture, which may name several files."""
@@ -199,3 +202,139 @@ class Capture:
     def sensors(self) -> tuple[str, ...]:
         """Names of the cameras, in the order of their first views."""
         return tuple(dict.fromkeys(view.sensor for view in self.views))
+
+
+# § Names of views that are fit for files, and of the cameras whose pictures lie in folders of their own.
+
+
+def view_names(pictures: Sequence[str]) -> list[str]:
+    """Name views after their pictures' paths, one each: folders that all share and suffixes that nobody needs left out.
+
+    Other folders stay, joined by "_".
+    """
+    flat = ["_".join(parts) for parts in _parts(pictures)]
+    short = [name.rpartition(".")[0] or name for name in flat]
+    counted = Counter(short)
+    return _apart([each if counted[each] == 1 else whole for each, whole in zip(short, flat, strict=True)])
+
+
+def sensor_names(pictures: Sequence[str]) -> list[str]:
+    """Name the camera of each picture after its folder, without folders that all share; empty where that is all."""
+    return ["_".join(parts[:-1]) for parts in _parts(pictures)]
+
+
+def _parts(pictures: Sequence[str]) -> list[tuple[str, ...]]:
+    """Folders and name of each picture, without the folders that all have in common."""
+    parts = [
+        tuple(part for part in PurePosixPath(picture.replace("\\", "/")).parts if part not in ("/", ".", ".."))
+        or ("unnamed",)
+        for picture in pictures
+    ]
+    shared = 0
+    while parts and all(len(each) > shared + 1 and each[shared] == parts[0][shared] for each in parts):
+        shared += 1
+    return [each[shared:] for each in parts]
+
+
+def _apart(names: Sequence[str]) -> list[str]:
+    """Number the names that come again."""
+    apart: dict[str, None] = {}
+    for name in names:
+        number, free = 1, name
+        while free in apart:
+            number += 1
+            free = f"{name}_{number}"
+        apart[free] = None
+    return list(apart)
+
+
+# § A capture without the pictures that can't be read: found by reading each once.
+
+
+def readable_pictures(capture: Capture, on_progress: Callable[[float], None] | None = None) -> Capture:
+    """Leave out the views whose pictures can't be read, and name them in the capture's problems.
+
+    Raises `CaptureError` where none is left.
+    """
+    kept: list[View] = []
+    broken: list[str] = []
+    for k, view in enumerate(capture):
+        try:
+            _ = view.image
+        except CaptureError as error:
+            broken.append(f"View {view.name} is left out: {error}.")
+        else:
+            kept.append(view)
+        if on_progress is not None:
+            on_progress((k + 1) / len(capture))
+    if not kept:
+        raise CaptureError(f"{capture.name}: not one picture can be read ({broken[0]})" if broken else capture.name)
+    return replace(capture, views=tuple(kept), problems=(*capture.problems, *broken)) if broken else capture
+
+
+# § Many names in one sentence: what is wrong with several files or views, without a page of lines.
+
+_AT_MOST = 3
+
+
+def some_names(names: Sequence[str]) -> str:
+    """Return the first few names and how many there are more: "a, b, c and 4 more"."""
+    more = len(names) - _AT_MOST
+    return ", ".join(names[:_AT_MOST]) + (f" and {more} more" if more > 0 else "")
+
+
+# § Names of files that stand in files of captures: none may lead out of the capture's folder, unless that is allowed.
+
+_LONGEST_NAME = 200
+"""Signs of a name in a sentence."""
+
+_allowed: ContextVar[bool] = ContextVar("outside_allowed", default=False)
+
+
+class OutsideError(CaptureError):
+    """A file of a capture names a file outside the capture's folder."""
+
+
+def allow_outside(allowed: bool) -> None:
+    """Let names lead anywhere, or nowhere but below the capture's folder, for the rest of this context."""
+    _allowed.set(allowed)
+
+
+@contextmanager
+def outside_allowed(allowed: bool | None) -> Generator[None]:
+    """Let names lead anywhere (True) or not (False) in this block; None leaves it as it is."""
+    token = _allowed.set(_allowed.get() if allowed is None else allowed)
+    try:
+        yield
+    finally:
+        _allowed.reset(token)
+
+
+def check_inside(folder: Path, names: Iterable[str], source: Path) -> None:
+    """Look where names lead that stand in the file `source` and are meant from `folder` on.
+
+    Raises `OutsideError` for the first one that leads out of it: absolute, by "..", or through a link; unless that is
+    allowed. What can't be a name of a file at all is left to who reads it.
+    """
+    if _allowed.get():
+        return
+    home = Path(os.path.realpath(folder))
+    parents: dict[Path, Path] = {}
+    for name in dict.fromkeys(names):
+        if "\0" in name:
+            continue
+        path = folder / name
+        if path.parent not in parents:
+            parents[path.parent] = Path(os.path.realpath(path.parent))
+        real = parents[path.parent] / path.name
+        try:
+            is_elsewhere = path.name in ("", "..") or real.is_symlink()
+        except OSError:  # longer than any name
+            continue
+        if is_elsewhere:
+            real = Path(os.path.realpath(real))
+        if not real.is_relative_to(home):
+            shown = name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..."
+            raise OutsideError(
+                f"{source}: names {shown!r}, which leads out of {folder}; --allow-outside reads such files all the same"
+            )

@@ -9,6 +9,7 @@ not known.
 
 import json
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -17,17 +18,17 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S, Camera
-from gsrain_engine.scene.errors import SceneFormatError
-
-from .capture import Capture, CaptureError, Lens, View
-from .files.array_file import read_floats
-from .files.inside import check_inside
-from .files.json_file import read_json_object, read_json_rows
-from .files.picture_file import picture_size, read_color, read_labels, read_mask
+from ..scene.camera import DEFAULT_EXPOSURE_S, Camera
+from ..scene.files import SceneFormatError
+from .capture import Capture, CaptureError, Lens, View, check_inside, some_names
+from .io.arrays import read_floats, read_json_object, read_json_rows
+from .io.images import CONVERT, picture_size, pictures_in, read_color, read_labels, read_mask, unread_pictures_in
+from .layout_hints import nearest_kind
 
 CAMERAS, WORLD = "cameras.json", "world.json"
+
 _NO_POSES = "No poses: these pictures were made of pictures without any; good for evaluation, not for reconstruction."
+
 _LARGEST = 1e12
 """Larger numbers are those of damaged files."""
 
@@ -194,3 +195,70 @@ def _number(value: Any, where: str, name: str) -> float:
 def _folder(path: Path) -> Path | None:
     below = (path, path / "images")
     return next((each for each in below if (each / CAMERAS).is_file() and any(each.glob("*.png"))), None)
+
+
+# § A plain folder of pictures: no poses, so it serves for transfer and evaluation, not for reconstruction.
+
+ASSUMED_HORIZONTAL_FOV_DEG = 60.0
+"""Of cameras that nobody calibrated: between a phone's (about 65) and a narrow driving camera's (50)."""
+
+NO_POSES = (
+    "No poses and no calibration: each view stands at the origin with an assumed horizontal field of view of "
+    f"{ASSUMED_HORIZONTAL_FOV_DEG:g} degrees; good for transfer and evaluation. To reconstruct a scene, run COLMAP on "
+    "these pictures and open its folder."
+)
+
+
+def recognizes_image_folder(path: Path) -> bool:
+    """Whether a folder, or the folder `images` in it, holds pictures."""
+    return bool(pictures_in(_image_folder(path)))
+
+
+def read_image_folder(path: Path) -> Capture:
+    """Read a folder of pictures; broken ones are left out and named. Raises `CaptureError` where none is whole."""
+    near = nearest_kind(path)
+    problems = [] if near is None else [f"Read as pictures alone: nearest to the folder is {near}."]
+    unread = unread_pictures_in(_image_folder(path))
+    if unread:
+        count = f"{len(unread)} more pictures are" if len(unread) > 1 else "1 more picture is"
+        problems.append(f"{count} left out, {CONVERT}: {some_names([file.name for file in unread])}.")
+    return capture_without_poses(path, pictures_in(_image_folder(path)), problems=problems)
+
+
+def capture_without_poses(
+    path: Path,
+    files: Sequence[Path],
+    attributes: Mapping[str, Mapping[str, str]] | None = None,
+    problems: Sequence[str] = (),
+) -> Capture:
+    """Views that all stand at the origin, look along +x, and know nothing of each other; `attributes` by file stem."""
+    attributes = attributes or {}
+    stems = Counter(file.stem for file in files)
+    views: list[View] = []
+    broken: list[str] = []
+    for file in files:
+        try:
+            camera = camera_without_calibration(*picture_size(file, upright=True))
+        except CaptureError as error:
+            broken.append(str(error))
+        else:
+            name = file.stem if stems[file.stem] == 1 else file.name
+            known = dict(attributes.get(file.stem, {}))
+            views.append(View(name, camera, partial(read_color, file, True), attributes=known))
+    if not views:
+        raise CaptureError(f"{path}: no picture in it can be read" + (f" ({broken[0]})" if broken else ""))
+    left_out = [f"{len(broken)} of {len(files)} pictures are left out: {some_names(broken)}."] if broken else []
+    told = (NO_POSES, *problems, *left_out)
+    return Capture(path.resolve().name, tuple(views), is_metric=False, has_poses=False, problems=told)
+
+
+def camera_without_calibration(width: int, height: int) -> Camera:
+    """A level pinhole camera at the origin of a z-up world, looking along +x."""
+    focal = width / 2 / np.tan(np.radians(ASSUMED_HORIZONTAL_FOV_DEG) / 2)
+    level = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    return Camera(width, height, float(focal), float(focal), width / 2, height / 2, level)
+
+
+def _image_folder(path: Path) -> Path:
+    """Where the pictures lie: directly in the folder, else in `images` below it."""
+    return path if pictures_in(path) else path / "images"

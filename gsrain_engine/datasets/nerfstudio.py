@@ -8,24 +8,17 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from gsrain_engine.scene.camera import Camera
-
-from .capture import Capture, CaptureError, Lens, View
-from .files.array_file import read_floats
-from .files.inside import check_inside
-from .files.json_file import read_json_object
-from .files.picture_file import SUFFIXES, picture_size, read_color, read_mask, read_stored
-from .files.point_ply import read_point_ply
-from .files.reading_errors import what_is_wrong
-from .geometry.rigid_poses import inverse, rigid_from_numbers
-from .geometry.scaled_camera import camera_of_picture, checked_camera
-from .geometry.up_direction import up_of_cameras
-from .named_problems import some_names
-from .view_names import sensor_names, view_names
+from ..scene.camera import Camera
+from .capture import Capture, CaptureError, Lens, View, check_inside, sensor_names, some_names, view_names
+from .geometry import camera_of_picture, checked_camera, inverse, rigid_from_numbers, up_of_cameras
+from .io.arrays import read_floats, read_json_object, what_is_wrong
+from .io.images import SUFFIXES, picture_size, read_color, read_mask, read_stored
+from .io.records import read_point_ply
 
 TRANSFORMS = ("transforms.json", "transforms_train.json")
 
 _OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+
 _MODELS: dict[str, Literal["opencv", "fisheye"]] = {
     "": "opencv",
     "SIMPLE_PINHOLE": "opencv",
@@ -37,8 +30,11 @@ _MODELS: dict[str, Literal["opencv", "fisheye"]] = {
     "OPENCV_FISHEYE": "fisheye",
     "FISHEYE": "fisheye",
 }
+
 _DEPTH_UNIT_M = 1e-3
+
 _DEPTH_PATHS = ("depth_file_path", "depth_path")
+
 _WRONG = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
 
 

@@ -5,28 +5,23 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gsrain_engine.extensions import CAPTURE_FORMATS, Extension, loaded, say_once
-from gsrain_engine.scene.formats.gaussian_files import format_of
-from gsrain_engine.untrusted.file_kinds import kind_of_file
-
+from ..plugins import CAPTURE_FORMATS, Extension, loaded, say_once
+from ..safe_io.limits import kind_of_file
+from ..scene.formats.registry import format_of
 from .bdd100k import read_bdd100k, recognizes_bdd100k
-from .capture import Capture, CaptureError
-from .capture_folder import read_capture_folder, recognizes_capture_folder
-from .colmap.reader import read_colmap, recognizes_colmap
-from .dgp.reader import read_dgp, recognizes_dgp
-from .files.inside import OutsideError, outside_allowed
-from .files.reading_errors import WRONG_VALUES, what_is_wrong
-from .image_folder import read_image_folder, recognizes_image_folder
-from .kitti.odometry import read_kitti_odometry, recognizes_kitti_odometry
-from .kitti.raw import read_kitti_raw, recognizes_kitti_raw
-from .named_problems import some_names
-from .nearest_kind import nearest_kind
+from .capture import Capture, CaptureError, OutsideError, outside_allowed, some_names
+from .capture_folder import read_capture_folder, read_image_folder, recognizes_capture_folder, recognizes_image_folder
+from .colmap import read_colmap, recognizes_colmap
+from .dgp import read_dgp, recognizes_dgp
+from .io.arrays import WRONG_VALUES, what_is_wrong
+from .kitti import read_kitti_odometry, read_kitti_raw, recognizes_kitti_odometry, recognizes_kitti_raw
+from .layout_hints import nearest_kind
 from .nerfstudio import read_nerfstudio, recognizes_nerfstudio
-from .nuscenes.infos import read_nuscenes_infos, recognizes_nuscenes_infos
-from .nuscenes.reader import read_nuscenes, recognizes_nuscenes
-from .rainsense.reader import read_rainsense, recognizes_rainsense
-from .waymo.records import read_waymo_records, recognizes_waymo_records
-from .waymo.tables import read_waymo_tables, recognizes_waymo_tables
+from .nuscenes import read_nuscenes, recognizes_nuscenes
+from .nuscenes_infos import read_nuscenes_infos, recognizes_nuscenes_infos
+from .rainsense import read_rainsense, recognizes_rainsense
+from .waymo_v1 import read_waymo_records, recognizes_waymo_records
+from .waymo_v2 import read_waymo_tables, recognizes_waymo_tables
 
 _LOOKED_AT = 50
 """Folders below one that is no capture, in which captures are looked for."""

@@ -10,12 +10,13 @@ import yaml
 from jaxtyping import Float
 from msgspec import Meta
 
-from gsrain_engine.scene.atomic_files import whole_file
-from gsrain_engine.shipped_configs import load_config, shipped_names
+from ..presets import load_config, shipped_names
+from ..scene.files import whole_file
 
 _FOLDER = "calibrations"
 
 Positive = Annotated[float, Meta(gt=0)]
+
 Interval = tuple[float, float]
 
 

@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Float64, Int32, Int64, UInt32
 
 from .drop_motion import DropMotion
-from .drop_sizes import CLASSES
-from .random_bits import pcg4d, pcg4d_scalar
+from .properties import CLASSES
 
 CLASS_STRIDE = 10125
 """Odd, about CLASSES / golden ratio: i -> i * stride mod CLASSES visits every class once in CLASSES drops, evenly."""
@@ -24,6 +23,7 @@ FIRST_OF_CLASS = pow(CLASS_STRIDE, -1, CLASSES)
 """Class c belongs to the drops c * this mod CLASSES, that plus CLASSES, and so on."""
 
 _CLASSES_BY_CHUNK = 64
+
 _LANES = 16
 
 
@@ -212,3 +212,57 @@ def _mark_class(first, count, seed, wraps, fractions, geometry, margin, far, eve
             & (v <= bottom * depth + margin)
         )
         found[k] = (i < count) & in_region & (in_view | everywhere)
+
+
+# § Random numbers without a state: the pcg4d hash (Jarzynski and Olano 2020, "Hash Functions for GPU Rendering").
+#
+# Each number is a pure function of what it belongs to, so any drop at any time can be had alone, in any order, and
+# the
+# same few lines give the same bits in NumPy, Numba and GLSL.
+
+MULTIPLIER = np.uint32(1664525)
+
+INCREMENT = np.uint32(1013904223)
+
+_SHIFT = np.uint32(16)
+
+_Bits = UInt32[np.ndarray, "*n"]
+
+
+def pcg4d(x: _Bits, y: _Bits, z: _Bits, w: _Bits) -> tuple[_Bits, _Bits, _Bits, _Bits]:
+    """Hash four 32-bit numbers to four: the readable reference of `pcg4d_scalar`."""
+    with np.errstate(over="ignore"):
+        x, y, z, w = _mix(*(v * MULTIPLIER + INCREMENT for v in (x, y, z, w)))
+        return _mix(*(v ^ (v >> _SHIFT) for v in (x, y, z, w)))
+
+
+def _mix(x: _Bits, y: _Bits, z: _Bits, w: _Bits) -> tuple[_Bits, _Bits, _Bits, _Bits]:
+    x = x + y * w
+    y = y + z * x
+    z = z + x * y
+    w = w + y * z
+    return x, y, z, w
+
+
+@numba.njit(inline="always")
+@no_type_check
+def pcg4d_scalar(x, y, z, w):
+    """Hash four 32-bit numbers to four, inside compiled code."""
+    m, c, s = np.uint32(1664525), np.uint32(1013904223), np.uint32(16)
+    x = np.uint32(x * m + c)
+    y = np.uint32(y * m + c)
+    z = np.uint32(z * m + c)
+    w = np.uint32(w * m + c)
+    x = np.uint32(x + y * w)
+    y = np.uint32(y + z * x)
+    z = np.uint32(z + x * y)
+    w = np.uint32(w + y * z)
+    x = np.uint32(x ^ (x >> s))
+    y = np.uint32(y ^ (y >> s))
+    z = np.uint32(z ^ (z >> s))
+    w = np.uint32(w ^ (w >> s))
+    x = np.uint32(x + y * w)
+    y = np.uint32(y + z * x)
+    z = np.uint32(z + x * y)
+    w = np.uint32(w + y * z)
+    return x, y, z, w

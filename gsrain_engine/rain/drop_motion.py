@@ -1,9 +1,15 @@
 """How far the drops of each diameter class have moved: fall, wind and gusts, integrated over time in float64."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
+
+from .calibration import Calibration
+from .keyframes import Weather, WeatherCurve
+from .properties import ClassTable
+from .settings import Rain
 
 GUST_PERIODS_S = (7.0, 11.3, 18.1)
 """Periods of the sines that a gust is made of: no common multiple within hours."""
@@ -75,3 +81,104 @@ class DropMotion:
     def changed(self, time_s: float, wind: Wind, fall_speed_m_s: Float64[np.ndarray, " classes"]) -> "DropMotion":
         """Go on from where every class is at a time with another wind and other speeds."""
         return DropMotion(wind, fall_speed_m_s, time_s, self.drift(time_s), self.fallen(time_s))
+
+
+# § How far drops have fallen and drifted in rain that changes over time: integrals of their speeds.
+
+
+@dataclass(frozen=True, eq=False)
+class RainCourse:
+    """Displacement of each class since t = 0 under a weather, as a function of t alone.
+
+    A class falls with v_c(R) = sum_j h_j(R) v_c(R_j), h_j the hat functions of tabulated intensities R_j. So its fall
+    is sum_j v_c(R_j) W_j(t), W_j the integral of h_j(R(t')) over time: exact for an R that is piecewise linear.
+    """
+
+    intensity: WeatherCurve
+    mean_wind: WeatherCurve
+    gusts: Wind
+    """Without a mean of its own."""
+    table: ClassTable
+    weights_s: Float64[np.ndarray, "n nodes"]
+    """W_j from the first knot of the intensity to each."""
+    drifted_m: Float64[np.ndarray, "2"] | None = None
+    """Added to the drift; none is nothing. With it drops go on from where they are when a person changes the rain."""
+    fallen_m: Float64[np.ndarray, " classes"] | None = None
+    """Added to the fall of each class; none is nothing."""
+    _base: dict[tuple[int, int], Float64[np.ndarray, " classes"]] = field(default_factory=dict, init=False)
+    """Fall up to where the last time asked for counts from: frames that follow one another count from the same."""
+
+    @classmethod
+    def of(cls, rain: Rain, weather: Weather, calibration: Calibration) -> "RainCourse":
+        """Work out what is needed once for a rain and its weather."""
+        curves, paper = weather.curves, rain.streak_reset == "paper"  # its drops fall straight down
+        intensity = curves.get("intensity_mm_h") or _still(rain.intensity_mm_h)
+        wind = curves.get("wind_m_s") or _still(*rain.wind_m_s)
+        table = ClassTable.between(float(intensity.values.min()), float(intensity.values.max()), rain, calibration)
+        mean_wind, gusts = (_still(0.0, 0.0), Wind()) if paper else (wind, Wind((0.0, 0.0), rain.gust_m_s, rain.seed))
+        return cls(intensity, mean_wind, gusts, table, _weights(intensity, table))
+
+    def diameters_mm(self, time_s: float) -> Float64[np.ndarray, " classes"]:
+        return self.table.at(self.table.diameters_mm, self._rate(time_s))
+
+    def motion(self, time_s: float) -> DropMotion:
+        """How drops move at a time, and how far they have come."""
+        (x, y), gusts = self.mean_wind.at(time_s), self.gusts
+        speeds = self.table.at(self.table.fall_speed_m_s, self._rate(time_s))
+        wind = Wind((float(x), float(y)), gusts.gust_m_s, gusts.seed)
+        return DropMotion(wind, speeds, time_s, self.drift(time_s), self.fallen(time_s))
+
+    def drift(self, time_s: float) -> Float64[np.ndarray, "2"]:
+        """How far the wind has carried all drops along x and y, in metres."""
+        moved = self.mean_wind.integral(time_s) + self.gusts.displacement(time_s)
+        return moved if self.drifted_m is None else moved + self.drifted_m
+
+    def fallen(self, time_s: float) -> Float64[np.ndarray, " classes"]:
+        """How far each class has fallen, in metres."""
+        moved = self._since_first_knot(time_s) - self._at_zero
+        return moved if self.fallen_m is None else moved + self.fallen_m
+
+    def going_on_from(self, motion: DropMotion) -> "RainCourse":
+        """Return the course with all drops, at that motion's own time, where the motion has them."""
+        time_s = motion.since_s
+        bare = replace(self, drifted_m=None, fallen_m=None)
+        drifted, fallen = motion.drift(time_s) - bare.drift(time_s), motion.fallen(time_s) - bare.fallen(time_s)
+        return replace(bare, drifted_m=drifted, fallen_m=fallen)
+
+    def _rate(self, time_s: float) -> float:
+        return float(self.intensity.at(time_s)[0])
+
+    @cached_property
+    def _at_zero(self) -> Float64[np.ndarray, " classes"]:
+        return self._since_first_knot(0.0)
+
+    def _since_first_knot(self, time_s: float) -> Float64[np.ndarray, " classes"]:
+        """Fall up to the last knot, or node that the intensity has crossed since, and from there to the time."""
+        table, times, rate = self.table, self.intensity.times_s, self._rate(time_s)
+        knot = max(self.intensity.before(time_s), 0)
+        interval, start_s = table.interval(rate), float(times[knot])
+        start = float(self.intensity.values[knot, 0])
+        before = start
+        if table.interval(start) != interval:
+            node = float(table.nodes_mm_h[interval if rate > start else interval + 1])
+            share = (node - start) / (float(self.intensity.values[knot + 1, 0]) - start)
+            start, start_s = node, start_s + share * (float(times[knot + 1]) - start_s)
+        base = self._base.get((knot, interval))
+        if base is None:
+            passed = table.mean_shares(np.array([before]), np.array([start]))[0] * (start_s - float(times[knot]))
+            base = table.mix(table.fall_speed_m_s, self.weights_s[knot] + passed)
+            self._base.clear()
+            self._base[knot, interval] = base
+        # Between two nodes the speed is linear in R: its mean is that of the middle.
+        return base + table.at(table.fall_speed_m_s, 0.5 * (start + rate)) * (time_s - start_s)
+
+
+def _weights(intensity: WeatherCurve, table: ClassTable) -> Float64[np.ndarray, "n nodes"]:
+    values = intensity.values[:, 0]
+    steps = table.mean_shares(values[:-1], values[1:])
+    steps *= np.diff(intensity.times_s)[:, None]
+    return np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
+
+
+def _still(*values: float) -> WeatherCurve:
+    return WeatherCurve(np.zeros(1), np.array([values], np.float64))

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Float64, UInt32
 
-from .rain import Rain
-from .random_bits import pcg4d
-from .roofs import Roofs
+from .drop_field import pcg4d
+from .settings import Rain
+from .shelter_map import Roofs
 
 LIFETIME_S, FADE_S = 4.0, 1.0
 """A haze Gaussian comes, stays and goes within 4 s; smoothstep fades of 1 s at both ends."""
@@ -19,6 +19,7 @@ _SMOOTH_COUNT, _MOST_SHARES = 16_000, 16
 """M Gaussians are split up into the geometric mean of M and the first, at most 16 each: few enough to be drawn."""
 
 _SALT = 0x68617A65  # keeps haze apart from drops of the same seed
+
 _FADE_MEAN = (LIFETIME_S - FADE_S) / LIFETIME_S  # a smoothstep has mean 1/2
 
 

@@ -1,17 +1,19 @@
 """Near drops as streak Gaussians: size, opacity and direction of what a shutter sees of a moving drop."""
 
 from dataclasses import dataclass
+from typing import no_type_check
 
+import numba
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, Int64
 
-from gsrain_engine.scene.camera import Camera
-
-from .rain import Rain
+from ..scene.camera import Camera
+from .drop_field import Culling, Drops, Offsets, count_in_region, find_drops, find_in_region
+from .settings import Rain
+from .shelter_map import Roofs
 
 AXIS_RATIO_SLOPE, AXIS_RATIO_OFFSET = -0.07, 1.07
 """tau(D) = k D + b for 1 mm < D < 9 mm (paper, eq. 4)."""
-
 
 STREAK_REACH = 2.0
 """No streak reaches farther from its drop than so many of its lengths (the outermost copy's last visible fragment)."""
@@ -49,3 +51,186 @@ def circle_of_confusion_m(depth_m: Float64[np.ndarray, " n"], rain: Rain) -> Flo
     In the image it is c = f A |1/d - 1/d_focus| px, with f in px and A the aperture's diameter in metres.
     """
     return 1e-3 * rain.aperture_mm * np.abs(1 - depth_m / rain.focus_distance_m)
+
+
+# § The drops of one moment around one camera: everything from which a kernel or a shader makes their streaks.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StreakField:
+    """A periodic cell of drops, and the shutter through which they are seen. World frame, metres."""
+
+    rain: Rain
+    count: int
+    """Drops with numbers below this exist."""
+    where: Offsets
+    period_m: Float64[np.ndarray, "3"]
+    """Edges of the cell."""
+    axes: Float64[np.ndarray, "3 3"]
+    """Cell to world, a rotation."""
+    center_m: Float64[np.ndarray, "3"]
+    """Centre of the cell, and of the streak region, in the world."""
+    culling: Culling
+    diameters_mm: Float64[np.ndarray, " classes"]
+    wind_m_s: Float64[np.ndarray, "2"]
+    """Along world x and y."""
+    fall_speed_m_s: Float64[np.ndarray, " classes"]
+    shutter: Shutter
+    roofs: Roofs | None = None
+    """Those over the cell; none where it is in the open."""
+
+    def drops(self) -> Drops:
+        """Drops that the camera may see."""
+        return self._in_the_open(find_drops(self.count, self.rain.seed, self.where, self.period_m, self.culling))
+
+    def region_drops(self) -> Drops:
+        """Drops in the streak region, seen or not: what other sensors than the camera meet."""
+        return self._in_the_open(find_in_region(self.count, self.rain.seed, self.where, self.period_m, self.culling))
+
+    def _in_the_open(self, found: Drops) -> Drops:
+        if self.roofs is None:
+            return found
+        kept = ~self.roofs.shelter(self.positions(found))
+        return Drops(found.numbers[kept], found.class_index[kept], found.fractions[kept])
+
+    def drops_in_region(self) -> int:
+        """Count the drops in the streak region, seen or not, under roofs too."""
+        return count_in_region(self.count, self.rain.seed, self.where, self.period_m, self.culling)
+
+    def positions(self, drops: Drops) -> Float64[np.ndarray, "m 3"]:
+        """Positions in the world."""
+        return drops.positions(self.period_m) @ self.axes.T + self.center_m
+
+    def streaks(self, drops: Drops) -> Streaks:
+        """Turn drops into streak Gaussians in the world."""
+        c = drops.class_index
+        return make_visible_streaks(
+            self.positions(drops), self.diameters_mm[c], self.velocities(c), self.shutter, self.rain
+        )
+
+    def velocities(self, class_index: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 3"]:
+        """World velocities of drops of some classes in m/s."""
+        velocities = np.empty((len(class_index), 3))
+        velocities[:, :2] = self.wind_m_s
+        velocities[:, 2] = -self.fall_speed_m_s[class_index]
+        return velocities
+
+    @property
+    def most_drops(self) -> int:
+        """More drops than the camera can see but by a chance of one in millions: room to reserve for them."""
+        left, right, top, bottom = np.abs(self.culling.slopes)
+        wide, high, far, margin = left + right, top + bottom, self.culling.class_far_m, self.culling.class_margin_m
+        volume = wide * high * far**3 / 3 + margin * (wide + high) * far**2 + 4 * margin**2 * far
+        expected = self.count * float(np.mean(np.minimum(volume / np.prod(self.period_m), 1.0)))
+        return min(self.count, int(1.1 * expected + 10 * np.sqrt(expected)) + 64)
+
+
+# § Compiled streak physics: moving drops to the streak Gaussians that a camera can see.
+
+_REACH = 4.8
+"""Standard deviations at which even alpha 1 has fallen below a streak's cut of 1/65536 (exp(-4.8^2 / 2))."""
+
+
+def make_visible_streaks(
+    positions_m: Float64[np.ndarray, "m 3"],
+    diameters_mm: Float64[np.ndarray, " m"],
+    velocities_m_s: Float64[np.ndarray, "m 3"],
+    shutter: Shutter,
+    rain: Rain,
+) -> Streaks:
+    """Turn drops into one to n_max Gaussians each along their path through the picture; leave out what no pixel shows.
+
+    Opacity: eq. 5 with the speed across the line of sight (`world`: V itself, the paper's form), times eq. 7's
+    attenuation with distance. Copies: eq. 10-12. With the speed across, the integral of alpha over the image is the
+    drop's own cross-section, pi D^2 / 4 (f / d)^2, near and far, in focus and out of it: the circle of confusion adds a
+    sixteenth of its diameter's square to the variances, as a disc has.
+    """
+    camera, most = shutter.camera, rain.max_copies
+    rows = np.empty((len(positions_m) * most, 11), np.float32)
+    kept = np.zeros(len(rows), np.bool_)
+    edges = np.array([camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx])
+    edges = np.concatenate([edges, [camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy]])
+    moving = rain.streak_frame == "camera"
+    numbers = np.array(
+        [
+            shutter.exposure_s, shutter.focal_px, rain.critical_haze_coefficient, rain.haze_opacity, rain.streak_gain,
+            1e-3 * rain.aperture_mm, rain.focus_distance_m,
+        ]
+    )  # fmt: skip
+    _fill(
+        positions_m, diameters_mm, velocities_m_s, shutter.velocity_m_s if moving else np.zeros(3), moving,
+        np.ascontiguousarray(camera.world_to_camera), camera.position, edges, numbers, most, rows, kept,
+    )  # fmt: skip
+    rows = rows[np.flatnonzero(kept)]
+    means, scales, quaternions = (np.ascontiguousarray(rows[:, a:b]) for a, b in ((0, 3), (3, 6), (6, 10)))
+    return Streaks(means, scales, quaternions, rows[:, 10].copy())
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _fill(
+    positions, diameters, velocities, camera_velocity, moving, world_to_camera, eye, edges, numbers, most, rows, kept
+):
+    exposure, focal, phi, haze_opacity, gain, aperture, focus = numbers
+    chunk_size = 256
+    for chunk in numba.prange((len(positions) + chunk_size - 1) // chunk_size):
+        for m in range(chunk * chunk_size, min(len(positions), (chunk + 1) * chunk_size)):
+            diameter_mm = diameters[m]
+            diameter = 1e-3 * diameter_mm
+            vx = velocities[m, 0] - camera_velocity[0]
+            vy = velocities[m, 1] - camera_velocity[1]
+            vz = velocities[m, 2] - camera_velocity[2]
+            dx, dy, dz = positions[m, 0] - eye[0], positions[m, 1] - eye[1], positions[m, 2] - eye[2]
+            depth = world_to_camera[2, 0] * dx + world_to_camera[2, 1] * dy + world_to_camera[2, 2] * dz
+            distance = max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
+            speed = np.sqrt(vx * vx + vy * vy + vz * vz)
+            along_sight = (vx * dx + vy * dy + vz * dz) / distance
+            across = np.sqrt(max(speed * speed - along_sight * along_sight, 0.0))
+
+            alpha = min(1.0, diameter / max((across if moving else speed) * exposure, 1e-12))
+            limit = focal * diameter
+            alpha *= min(1.0, limit / max(depth, 1e-9))
+            if depth > phi * limit:
+                alpha = haze_opacity
+            alpha = min(1.0, gain * alpha)
+            # Copies overlap: their opacities would add up to sqrt(2 pi) alpha. This is exact on the streak's axis; off
+            # it, where alpha is large, they add up to more than they should: a smaller width keeps the integral.
+            opacity = 1 - (1 - alpha) ** (1 / np.sqrt(2 * np.pi))
+
+            length = speed * exposure
+            ratio = AXIS_RATIO_SLOPE * diameter_mm + AXIS_RATIO_OFFSET if diameter_mm > 1 else 1.0
+            copies = int(min(max(np.rint(length / (ratio * diameter)), 1), most))
+            narrowing = alpha / max(np.sqrt(2 * np.pi) * opacity, 1e-30)
+            across_sigma = np.sqrt(np.pi / 32) * max(diameter, depth / focal) * narrowing
+            along_sigma = max(length / copies, across_sigma)
+            if aperture > 0:
+                blur = aperture * abs(1 - depth / focus) / 4
+                sine = across / max(speed, 1e-9)
+                seen_sigma = np.hypot(along_sigma * sine, across_sigma * np.sqrt(max(1 - sine * sine, 0.0)))
+                opacity *= across_sigma / np.hypot(across_sigma, blur) * seen_sigma / np.hypot(seen_sigma, blur)
+                across_sigma, along_sigma = np.hypot(across_sigma, blur), np.hypot(along_sigma, blur)
+            reach = _REACH * along_sigma
+            # Half-way quaternion from +z; the sign of a streak's axis is free, so never turn by over 90 degrees.
+            scale = 1 / max(speed, 1e-9)
+            ax, ay, az = vx * scale, vy * scale, vz * scale
+            sign = -1.0 if az < 0 else 1.0
+            qw, qx, qy = 1 + sign * az, -sign * ay, sign * ax
+            norm = np.sqrt(qw * qw + qx * qx + qy * qy)
+            for copy in range(copies):
+                offset = (copy - (copies - 1) / 2) * (length / copies)
+                x, y, z = dx + offset * ax, dy + offset * ay, dz + offset * az
+                u = world_to_camera[0, 0] * x + world_to_camera[0, 1] * y + world_to_camera[0, 2] * z
+                v = world_to_camera[1, 0] * x + world_to_camera[1, 1] * y + world_to_camera[1, 2] * z
+                w = world_to_camera[2, 0] * x + world_to_camera[2, 1] * y + world_to_camera[2, 2] * z
+                wide = max(w + reach, 0.0)
+                if w < 0 or u < -edges[0] * wide - reach or u > edges[1] * wide + reach:
+                    continue
+                if v < -edges[2] * wide - reach or v > edges[3] * wide + reach:
+                    continue
+                n = m * most + copy
+                kept[n] = True
+                row = rows[n]
+                row[0], row[1], row[2] = x + eye[0], y + eye[1], z + eye[2]
+                row[3], row[4], row[5] = across_sigma, across_sigma, along_sigma
+                row[6], row[7], row[8], row[9] = qw / norm, qx / norm, qy / norm, 0.0
+                row[10] = opacity

@@ -7,14 +7,17 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
-from .weather_curve import WeatherCurve
+from .keyframes import WeatherCurve
 
 DRAINAGE_LENGTH_M = 5.0
 """How far water runs over the road before a place: from the crown to the middle of the outer lane."""
+
 CROSS_SLOPE = 0.02
 """Fall of a road towards its edge, m/m: what roads are built with."""
+
 TEXTURE_DEPTH_MM = 0.5
 """Mean depth of the road's texture: dense asphalt."""
+
 SOAKING_DEPTH_MM = 0.2
 """Mean depth of water at which a road shows 1 - 1/e of its soaked look; our decision, see docs/physics.md."""
 

@@ -1,22 +1,21 @@
 """A run of frames: which camera, which moments. Frame k is the same whether it is rendered alone or among others."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float32, Float64
 
-from gsrain_engine.rain.rainfall import Rainfall
-from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.paths.camera_path import CameraPath
-from gsrain_engine.scene.scene import Scene
-
-from .exposure import expose
-from .frame import Frame
-from .look import Look
-from .mounted_camera import MountedCamera
-from .renderer import Renderer
-from .scene_view import Shot, rain_view
+from ..rain.settings import Rain
+from ..rain.simulation import OVERCAST, Rainfall
+from ..scene.camera import Camera
+from ..scene.camera_path import CameraPath
+from ..scene.rig import rig_camera
+from ..scene.scene import RigCamera, Scene
+from .draw import Shot, draw_shot, rain_view
+from .images import to_display, to_light
+from .renderer import Color, Frame, Look, Renderer
 from .sky_color import Sky, sky_color
 
 
@@ -25,6 +24,50 @@ class RenderedFrame(NamedTuple):
 
     number: int
     frame: Frame
+
+
+# § A camera of the ego vehicle's rig as it drives. World frame, metres.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MountedCamera:
+    """One camera of a rig, wherever its vehicle is."""
+
+    scene: Scene
+    rig: str
+    name: str
+
+    def at(self, time_s: float) -> Camera:
+        """Camera at a time, in its own size; raises `ValueError` while there is no vehicle."""
+        return rig_camera(self.scene, self.rig, self.name, time_s)
+
+    def velocity(self, time_s: float) -> Float64[np.ndarray, "3"]:
+        """Velocity at a time; zero before and after the drive, and where the vehicle comes or goes."""
+        times = self._times_s
+        before, after = np.clip([time_s - _STEP_S, time_s + _STEP_S], times[0], times[-1])
+        if not before < after or not times[0] <= time_s <= times[-1]:
+            return np.zeros(3)
+        try:
+            return (self.at(float(after)).position - self.at(float(before)).position) / (after - before)
+        except ValueError:
+            return np.zeros(3)
+
+    @property
+    def end_s(self) -> float:
+        return float(self._times_s[-1])
+
+    @property
+    def front_at_start(self) -> Camera:
+        """The rig's camera that looks most straight ahead, where the drive begins."""
+        assert self.scene.ego is not None
+        ahead = max(self.scene.rigs[self.rig], key=lambda each: each.camera_to_ego[0, 2])
+        first = int(np.argmax(self.scene.ego.valid))
+        return rig_camera(self.scene, self.rig, ahead.name, float(self._times_s[first]))
+
+    @property
+    def _times_s(self) -> Float64[np.ndarray, " t"]:
+        assert self.scene.ego is not None
+        return self.scene.ego.times
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,3 +178,93 @@ class FrameSequence:
             return -np.inf, np.inf
         start = self.camera.start_s if self.in_scene_time else 0.0
         return start, start + self.camera.duration_s
+
+
+# § One frame from several pictures: samples inside its pixels, and sub-frames of its exposure.
+
+
+def expose(
+    renderer: Renderer,
+    scene: Scene,
+    rainfall: Rainfall | None,
+    sky: Color,
+    shots: Sequence[Shot],
+    supersampling: int = 1,
+    *,
+    with_depth: bool = False,
+    look: Look = "splats",
+) -> Frame:
+    """Take the mean of shots, each drawn `supersampling` times wider and higher. Depth is that of the last shot.
+
+    The samples inside a pixel are averaged as the renderer blends: premultiplied, in display values. The sub-frames are
+    averaged as a sensor adds them up: in linear light.
+    """
+    total: Float32[np.ndarray, "h w 4"] | None = None
+    frame: Frame | None = None
+    for shot in shots:
+        fine = _finer(shot, supersampling)
+        draw_shot(renderer, scene, rainfall, sky, fine, with_depth=with_depth, look=look)
+        frame = renderer.read()
+        if supersampling > 1:
+            frame = replace(frame, rgba=_mean_of_blocks(frame.rgba, supersampling))
+        if len(shots) > 1:
+            light = to_light(frame.rgba)
+            total = light if total is None else total + light
+    assert frame is not None, "an exposure needs at least one shot"
+    return frame if total is None else replace(frame, rgba=to_display(total / np.float32(len(shots))))
+
+
+def _finer(shot: Shot, times: int) -> Shot:
+    """The same shot in more pixels; which drops exist still follows from the output image's focal length."""
+    if times == 1:
+        return shot
+    camera = shot.camera
+    focal_px = shot.focal_px or float(np.sqrt(camera.fx * camera.fy))
+    return replace(shot, camera=camera.resized(times * camera.width, times * camera.height), focal_px=focal_px)
+
+
+def _mean_of_blocks(rgba: Float32[np.ndarray, "H W 4"], side: int) -> Float32[np.ndarray, "h w 4"]:
+    height, width = rgba.shape[0] // side, rgba.shape[1] // side
+    return rgba.reshape(height, side, width, side, 4).mean(axis=(1, 3), dtype=np.float32)
+
+
+_STEP_S = 0.005
+"""Half the time over which the speed is taken: tracks are linear between their samples, 100 ms apart."""
+
+
+def mounted_cameras(scene: Scene, names: tuple[str, ...]) -> list[MountedCamera]:
+    """Find rig cameras by RIG (all of a rig), RIG/NAME, NAME, or "all"; each once, in the order of the rigs.
+
+    Raises `ValueError` for a name that fits none, and where the scene has no ego vehicle.
+    """
+    every = [(rig, camera) for rig, cameras in scene.rigs.items() for camera in cameras]
+    if not every or scene.ego is None or not len(scene.ego.times):
+        raise ValueError(f"scene {scene.name!r} has no vehicle with cameras")
+    for name in names:
+        if not any(_fits(name, rig, camera) for rig, camera in every):
+            known = ", ".join(f"{rig}/{camera.name}" for rig, camera in every)
+            raise ValueError(f"scene {scene.name!r} has no camera {name!r}, only {known}")
+    chosen = [(rig, camera) for rig, camera in every if any(_fits(name, rig, camera) for name in names)]
+    return [MountedCamera(scene, rig, camera.name) for rig, camera in chosen]
+
+
+def _fits(name: str, rig: str, camera: RigCamera) -> bool:
+    return name in ("all", rig, camera.name, f"{rig}/{camera.name}")
+
+
+# § One picture of a scene in the rain: for those who want an array, and no clip.
+
+
+def render_still(
+    renderer: Renderer, scene: Scene, rain: Rain, camera: Camera, time_s: float = 0.0, *, with_depth: bool = False
+) -> Frame:
+    """Draw a scene in its rain from a camera that stands in the world (metres, z up), at a moment of scene and rain.
+
+    The scene's wet colours come with the rain's wetness; depth (m) is the scene's, without rain. It is the frame that
+    `gsrain render` writes. Each call looks around for the colour of the sky, which is that of the drops (paper, eq. 3):
+    for many frames keep one `FrameSequence`. Raises ValueError for a calibration that the rain names and there is not.
+    """
+    rainfall = Rainfall.start(rain)
+    sequence = FrameSequence(scene, rainfall, camera, camera.width, camera.height, start_s=time_s)
+    sky = sequence.sky(renderer) if rainfall.can_rain else Sky(OVERCAST, found=False)  # without drops nobody asks
+    return sequence.frame(renderer, 0, sky, with_depth=with_depth)

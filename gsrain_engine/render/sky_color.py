@@ -6,17 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsrain_engine.rain.rainfall import OVERCAST, mean_sky
-from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.scene import Scene
-
-from .frame import Color
-from .renderer import Renderer
-from .thinning import Thinning, thinned
+from ..rain.simulation import OVERCAST, mean_sky
+from ..scene.camera import Camera, look_at
+from ..scene.scene import Scene
+from .draw import Thinning, thinned
+from .renderer import Color, Renderer
 
 _VIEWS, _WIDTH, _HEIGHT, _FOV_DEG = 4, 160, 120, 75.0
+
 _FAR_M = 60.0
 """In a capture without a sky layer: what stands above the horizon farther than this is sky."""
+
 _LEAST_PIXELS = 200
 
 

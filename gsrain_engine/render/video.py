@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
-from .recording import USUAL_QUALITY
-from .torn_file import TornFile
+from .export_settings import USUAL_QUALITY
 
 SUFFIXES = (".mp4", ".webm")
 
@@ -31,11 +30,13 @@ _ENCODERS = {
     "vp9": _Encoder("libvpx-vp9", {"b": "0", "deadline": "good", "cpu-used": "4"}),
     "av1": _Encoder("libsvtav1", {"preset": "8", "svtav1-params": "lp=1"}),
 }
+
 _CONTAINERS = {
     # A fragmented file is complete up to its last fragment even after kill -9.
     ".mp4": {"movflags": "hybrid_fragmented", "flush_packets": "1"},
     ".webm": {"fflags": "+bitexact", "cluster_time_limit": "1000"},
 }
+
 _CODECS = {".mp4": ("h264", "av1"), ".webm": ("vp9", "av1")}
 
 
@@ -126,3 +127,48 @@ def _pyav(path: Path) -> Any:
             "a folder of pictures or .exr goes without"
         ) from error
     return av
+
+
+# § A file for an encoder that does not survive a full disk: it never hears of errors, who drives it does.
+
+
+class TornFile:
+    """Takes bytes until the disk refuses some; from then on it pretends, and keeps the error.
+
+    FFmpeg's fragmented MP4 ends the process when it is closed after an error of its output.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open a file for writing, without a buffer: what is written survives the process."""
+        self._path, self._file = path, path.open("wb", buffering=0)
+        self._position = self._end = 0
+        self.error: OSError | None = None
+
+    def check(self) -> None:
+        """Raise the error that there was, if there was one."""
+        if self.error is not None:
+            raise self.error
+
+    def write(self, data: bytes) -> int:
+        if self.error is None:
+            try:
+                self._file.seek(self._position)
+                rest = memoryview(data)
+                while rest:
+                    rest = rest[self._file.write(rest) :]
+            except OSError as error:
+                self.error = OSError(error.errno, error.strerror, str(self._path))
+        self._position += len(data)
+        self._end = max(self._end, self._position)
+        return len(data)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Go to a position: from the start, from here, or from the end."""
+        self._position = offset + (0, self._position, self._end)[whence]
+        return self._position
+
+    def tell(self) -> int:
+        return self._position
+
+    def close(self) -> None:
+        self._file.close()

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float64
 
-from .errors import SceneFormatError
-from .json_file import read_json
+from .files import SceneFormatError, read_json
 
 DEFAULT_EXPOSURE_S = 0.004
 """Daylight shutter of driving cameras: 2.6-3.9 ms in a Waymo sample frame, rounded up."""

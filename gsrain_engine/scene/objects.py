@@ -1,5 +1,6 @@
 """The things in a scene that have a class and a box: its actors, and the built-in street's parked vehicles."""
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -7,16 +8,16 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from .gaussians import Gaussians
-from .members import Actor, Layer
-from .rotations import quaternions_from_matrices
-from .scene import Scene
-from .street.parked_vehicles import PARKED_CARS, PARKED_TRUCKS, ParkedBox, parked_boxes
-from .track import Track
+from .geometry import quaternions_from_matrices
+from .scene import Actor, Layer, Scene, Track
+from .street.build import PARKED_CARS, PARKED_TRUCKS, ParkedBox, parked_boxes
 
 _MARGIN_M = 0.2
 """Mirrors and Gaussians that stand over the edge of a box are the thing's own."""
+
 _SHADOW_HEIGHT_M, _SHADOW_OPACITY = 0.1, 0.9
 """What lies lower and is less opaque is the shadow that a thing carries along."""
+
 _LEAST_SHARE = 0.95
 
 
@@ -97,3 +98,64 @@ def _standing(pose: Float64[np.ndarray, "4 4"]) -> Track:
     turn = pose[:3, :3] / np.cbrt(np.linalg.det(pose[:3, :3]))
     quaternion = np.asarray(quaternions_from_matrices(turn[None]), np.float64)
     return Track(np.zeros(1), pose[None, :3, 3].copy(), quaternion, np.ones(1, bool))
+
+
+# § COCO's classes of objects, with its numbers, and what data sets call the same things.
+
+COCO_CLASSES: tuple[str, ...] = (
+    "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat", "traffic light",
+    "fire hydrant", "stop sign", "parking meter", "bench", "bird", "cat", "dog", "horse", "sheep", "cow", "elephant",
+    "bear", "zebra", "giraffe", "backpack", "umbrella", "handbag", "tie", "suitcase", "frisbee", "skis", "snowboard",
+    "sports ball", "kite", "baseball bat", "baseball glove", "skateboard", "surfboard", "tennis racket", "bottle",
+    "wine glass", "cup", "fork", "knife", "spoon", "bowl", "banana", "apple", "sandwich", "orange", "broccoli",
+    "carrot", "hot dog", "pizza", "donut", "cake", "chair", "couch", "potted plant", "bed", "dining table", "toilet",
+    "tv", "laptop", "mouse", "remote", "keyboard", "cell phone", "microwave", "oven", "toaster", "sink",
+    "refrigerator", "book", "clock", "vase", "scissors", "teddy bear", "hair drier", "toothbrush",
+)  # fmt: skip
+"""The 80 classes of COCO 2017 in the order of detectors (Lin et al. 2014)."""
+
+_UNUSED = {12, 26, 29, 30, 45, 66, 68, 69, 71, 83}
+
+COCO_CATEGORIES = dict(zip(COCO_CLASSES, [k for k in range(1, 91) if k not in _UNUSED], strict=True))
+"""Category ids of COCO's annotation files by class: 1 to 90, ten of them unused."""
+
+_SAME = {
+    "person": r"pedestrian|person|human(\..*)?|people|walker|adult|child",
+    "bicycle": r"bicycle|bike|cycle",
+    "motorcycle": r"motorcycle|motorbike|motor|moped|scooter",
+    "car": r"car|van|suv|sedan|taxi|passenger car|vehicle",
+    "bus": r"bus|coach|bus\..*",
+    "truck": r"truck|lorry|caravan/rv|pickup truck|semi-truck",
+    "train": r"train|tram|subway|streetcar",
+    "traffic light": r"traffic light|traffic signal",
+    "stop sign": r"stop sign",
+}
+"""Names of KITTI, nuScenes, Waymo, DGP, BDD100K and RainSense, in lower case, by the class of COCO they fall into."""
+
+_GROUP = re.compile(r"^((vehicle|movable_object|static_object)\.|type_)")
+
+
+def coco_class(name: str) -> str:
+    """The class of COCO that a data set's `name` falls into; the name itself, in lower case, where none is the same.
+
+    Riders (KITTI's Cyclist, BDD100K's rider) stay as they are: COCO labels the person and the bicycle each alone.
+    Waymo's vehicle becomes a car, which most of them are.
+    """
+    plain = _GROUP.sub("", name.strip().lower()).replace("_", " ")
+    for known, pattern in _SAME.items():
+        if re.fullmatch(pattern, plain):
+            return known
+    return plain
+
+
+# § Which classes of things are vehicles with paint and glass, as data sets and scenes call them.
+
+_VEHICLES = ("car", "truck", "van", "bus", "vehicle", "trailer", "tram", "train")
+
+_CYCLES = ("cycl", "bike", "motor")
+
+
+def is_vehicle(class_name: str) -> bool:
+    """Whether a class is one of motor vehicles with a body: cars, trucks and trams, but neither bicycles nor riders."""
+    name = class_name.lower()
+    return any(word in name for word in _VEHICLES) and not any(word in name for word in _CYCLES)

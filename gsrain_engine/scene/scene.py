@@ -1,19 +1,259 @@
-"""A scene: layers and actors, and how they lie in the world; with what else a scene folder holds."""
+"""Boxes around the centres of Gaussians: all of them, nearly all, or the core where they are dense."""
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any, Literal, NamedTuple
 
+import msgspec
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
+from msgspec import Meta
 
-from .grading import UNCHANGED
-from .identity import Identity
-from .mask import Mask
-from .members import Actor, Layer, Part
-from .paths.camera_path import CameraPath
-from .track import Track
+from .camera_path import CameraPath
+from .flags import UNMARKED, Marks, Mask
+from .gaussians import Gaussians, Identity
+from .geometry import matrices_from_quaternions, quaternions_from_matrices
+
+_ROBUST_SHARE = 0.98
+"""Share of the opacity along an axis that the robust box keeps; captures have strays far outside."""
+
+_SAMPLES = 1_000_000
+"""Gaussians that the robust box looks at, evenly spaced in order: sorting all of 10 million takes seconds."""
+
+_CORE_SAMPLES = 100_000
+"""Gaussians that the core is found by, evenly spaced in order: a tenth of a second for any number of them."""
+
+_CORE_SHARE = 0.25
+"""Least share of the opacity that the core holds."""
+
+_GROWTH = 0.15
+"""The core's radius R makes share / R^0.15 largest: twice as far out is worth it for 11 % more."""
+
+_SHELL_BEGINS = 3.0
+"""Radii of the core, from its middle, beyond which Gaussians may belong to a shell."""
+
+_SHELL_COVERS = 0.2
+"""Least share of all directions that a shell covers; a dome covers half of them, strays next to nothing."""
+
+_RINGS, _SECTORS = 4, 8
+"""Of directions: cells of the same solid angle."""
+
+
+class Bounds(NamedTuple):
+    """An axis-aligned box."""
+
+    low: Float64[np.ndarray, "3"]
+    high: Float64[np.ndarray, "3"]
+
+
+# § What a scene is made of: layers that stand still and actors that move, and how each of them is shown.
+
+
+class Part(NamedTuple):
+    """What a renderer draws: Gaussians, and the similarity that takes them to the world (metres, z up)."""
+
+    gaussians: Gaussians
+    to_world: Float64[np.ndarray, "4 4"]
+    limit: int | None = None
+    """Draw only the first so many of them; none draws all."""
+    growth: float = 1.0
+    """Draw them so many times larger, to fill in for those that are left out."""
+    left_out: Mask | None = None
+    """Gaussians that are not drawn."""
+    selected: Mask | None = None
+    """Gaussians that are drawn tinted."""
+    opacity: float = 1.0
+    """Multiplies each Gaussian's own."""
+    colors: Float64[np.ndarray, "3 4"] | None = None
+    """Affine change of display colours, before what is below 0 is cut off."""
+    wet_sh: Float32[np.ndarray, "n k 3"] | None = None
+    """Harmonics of the Gaussians when they are soaked; none where they have no wet colours."""
+    wetness: float = 0.0
+    """0..1: colours are (1 - wetness) of the clear ones and wetness of the wet ones."""
+
+    @property
+    def is_wet(self) -> bool:
+        """Whether there is anything of wet colours to be seen."""
+        return self.wet_sh is not None and self.wetness > 0
+
+    @property
+    def drawn_count(self) -> int:
+        """How many are drawn, and left out, before the limit."""
+        return len(self.gaussians) if self.limit is None else min(self.limit, len(self.gaussians))
+
+    @property
+    def remaining(self) -> Gaussians:
+        """The Gaussians without those that are left out; the very same value where none is."""
+        return self.gaussians if not self.left_out else self.gaussians.take((~self.left_out).indices)
+
+
+class Shell(NamedTuple):
+    """A sky, or what else surrounds a scene from far away, as seen from the middle of the core."""
+
+    middle: Float64[np.ndarray, "3"]
+    nearest_m: float
+    """What is nearer to the middle does not belong to it."""
+    radius_m: float
+    """Distance from the middle by which half of what it covers is passed."""
+    smallest: float
+    """Size over distance: Gaussians that look smaller from the middle are strays, and don't belong to it either."""
+
+    def holds(self, part: Part) -> Bool[np.ndarray, " n"]:
+        """Tell which of a part's Gaussians belong to it, those that are left out too."""
+        means = part.gaussians.means @ part.to_world[:3, :3].T + part.to_world[:3, 3]
+        distances = np.linalg.norm(means - self.middle, axis=1)
+        scale = np.cbrt(np.linalg.det(part.to_world[:3, :3]))
+        sizes = scale * part.gaussians.scales.max(axis=1, initial=0)
+        return (distances > self.nearest_m) & (sizes > self.smallest * distances)
+
+
+class Core(NamedTuple):
+    """The place of a scene where its Gaussians are dense. World frame, metres."""
+
+    low: Float64[np.ndarray, "3"]
+    high: Float64[np.ndarray, "3"]
+    shell: Shell | None = None
+    """What surrounds it from far away, where anything does."""
+
+    @property
+    def middle(self) -> Float64[np.ndarray, "3"]:
+        return (self.low + self.high) / 2
+
+    @property
+    def radius_m(self) -> float:
+        """Radius of the sphere around the box."""
+        return float(np.linalg.norm(self.high - self.low)) / 2
+
+    @property
+    def farthest_m(self) -> float:
+        """Largest distance from the middle to look from: inside of the shell, else where it is still to be seen."""
+        if self.shell is None:
+            return 50 * self.radius_m
+        return max(0.8 * self.shell.radius_m, 1.2 * self.radius_m)
+
+
+def core_bounds(parts: Sequence[Part], sky: Sequence[Part] = ()) -> Core:
+    """Find the dense core of parts, and the shell far around it; `sky` are parts known to be of that shell.
+
+    Its middle is the middle of the denser half of the Gaussians, halved six times over (the half-sample mode of
+    Robertson and Cryer 1974, with medians); around it, the core ends where going farther adds little, see `_GROWTH`.
+    Opacities are weights. The box keeps 98 % of what is in there along each axis, and is never smaller than a typical
+    Gaussian. What lies beyond three radii is a shell where it covers a fifth of all directions. Values that are not
+    finite don't count; without Gaussians the core is a point at the origin.
+    """
+    samples = _samples(parts)
+    means, sizes, weights = samples
+    if not len(means):
+        return Core(np.zeros(3), np.zeros(3))
+    size = 2 * float(_weighted_quantiles(sizes, weights, [0.5])[0])
+    middle, near = np.zeros(3), np.ones(len(means), np.bool_)
+    for _ in range(6):
+        middle = np.array([_weighted_quantiles(column, weights[near], [0.5])[0] for column in means[near].T])
+        distances = np.linalg.norm(means - middle, axis=1)
+        near &= distances <= np.median(distances[near])
+    distances = np.linalg.norm(means - middle, axis=1)
+    order = np.argsort(distances)
+    shares = np.cumsum(weights[order]) / weights.sum()
+    worth = shares / np.maximum(distances[order], max(size, 1e-9)) ** _GROWTH
+    radius = float(distances[order][np.argmax(np.where(shares >= _CORE_SHARE, worth, 0.0))])
+    inside = distances <= radius
+    ends = [(1 - _ROBUST_SHARE) / 2, (1 + _ROBUST_SHARE) / 2]
+    low, high = np.array([_weighted_quantiles(column, weights[inside], ends) for column in means[inside].T]).T
+    half = np.maximum((high - low) / 2, size)
+    core = Core((low + high) / 2 - half, (low + high) / 2 + half)
+    return core._replace(shell=_shell(core, samples, _samples(sky)))
+
+
+class _Samples(NamedTuple):
+    means: Float64[np.ndarray, "n 3"]
+    sizes: Float64[np.ndarray, " n"]
+    """Longest standard deviations."""
+    weights: Float64[np.ndarray, " n"]
+
+
+def _samples(parts: Sequence[Part]) -> _Samples:
+    step = -(-sum(len(part.gaussians) for part in parts) // _CORE_SAMPLES) or 1
+    places, sizes, weights = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0)]
+    for part in parts:
+        there = np.arange(0, len(part.gaussians), step)
+        if part.left_out:
+            there = there[~part.left_out.flags[there]]
+        g, scale = part.gaussians, float(np.cbrt(np.linalg.det(part.to_world[:3, :3])))
+        means = g.means[there].astype(np.float64) @ part.to_world[:3, :3].T + part.to_world[:3, 3]
+        longest = scale * g.scales[there].max(axis=1, initial=0.0).astype(np.float64)
+        opacities = part.opacity * g.opacities[there].astype(np.float64)
+        good = np.isfinite(means).all(axis=1) & np.isfinite(longest) & np.isfinite(opacities)
+        places.append(means[good])
+        sizes.append(longest[good])
+        weights.append(opacities[good])
+    weight = np.concatenate(weights)
+    return _Samples(np.concatenate(places), np.concatenate(sizes), weight if weight.sum() > 0 else weight + 1)
+
+
+def _shell(core: Core, samples: _Samples, sky: _Samples) -> Shell | None:
+    """Recognize what surrounds the core from far away, by how much of all directions it covers."""
+    nearest_m = _SHELL_BEGINS * max(core.radius_m, 1e-9)
+    means, sizes, weights = (np.concatenate(pair) for pair in zip(samples, sky, strict=True))
+    is_sky = np.arange(len(means)) >= len(samples[0])
+    away = means - core.middle
+    distances = np.linalg.norm(away, axis=1)
+    far = (distances > nearest_m) | (is_sky & (distances > 0))
+    if not far.any():
+        return None
+    away, distances = away[far], distances[far]
+    covered = 2 * np.pi * weights[far] * (sizes[far] / distances) ** 2  # steradians
+    ring = np.clip((away[:, 2] / distances + 1) * _RINGS / 2, 0, _RINGS - 1).astype(int)
+    sector = np.clip((np.arctan2(away[:, 1], away[:, 0]) / (2 * np.pi) + 0.5) * _SECTORS, 0, _SECTORS - 1).astype(int)
+    cells = _RINGS * _SECTORS
+    full = 4 * np.pi / cells
+    share = np.minimum(np.bincount(ring * _SECTORS + sector, covered, cells) / full, 1.0).mean()
+    if share < _SHELL_COVERS and not is_sky.any():
+        return None
+    weights = covered if covered.sum() > 0 else np.ones(len(covered))
+    radius_m = float(_weighted_quantiles(distances, weights, [0.5])[0])
+    size = float(_weighted_quantiles(sizes[far] / distances, weights, [0.5])[0])
+    return Shell(core.middle, nearest_m, radius_m, size / 10)
+
+
+def bounds(gaussians: Gaussians) -> Bounds:
+    """Box around all centres; without Gaussians a point at the origin."""
+    if not len(gaussians):
+        return Bounds(np.zeros(3), np.zeros(3))
+    columns = gaussians.means.T
+    return Bounds(
+        np.array([column.min() for column in columns], np.float64),
+        np.array([column.max() for column in columns], np.float64),
+    )
+
+
+def robust_bounds(*sets: Gaussians, share: float = _ROBUST_SHARE) -> Bounds:
+    """Box that keeps the middle `share` (0..1) of all opacity along each axis; without Gaussians the origin.
+
+    Where everything is fully transparent, every centre counts the same. Of more than a million, an even share counts.
+    """
+    step = -(-sum(map(len, sets)) // _SAMPLES) or 1
+    means = np.concatenate([np.zeros((0, 3), np.float32), *(each.means[::step] for each in sets)])
+    weights = np.concatenate([np.zeros(0), *(each.opacities[::step].astype(np.float64) for each in sets)])
+    if not weights.sum() > 0:
+        weights = np.ones(len(weights))
+    ends = [(1 - share) / 2, (1 + share) / 2]
+    columns = [_weighted_quantiles(column, weights, ends) for column in means.T] if len(means) else []
+    low, high = np.array(columns, np.float64).T if columns else np.zeros((2, 3))
+    return Bounds(low, high)
+
+
+def _weighted_quantiles(
+    values: Float[np.ndarray, " n"], weights: Float64[np.ndarray, " n"], shares: list[float]
+) -> Float64[np.ndarray, " s"]:
+    """Smallest values that have at least these shares of the weight at or below them."""
+    order = np.argsort(values)
+    summed = np.cumsum(weights[order])
+    index = np.searchsorted(summed, np.array(shares) * summed[-1])
+    return values[order[np.minimum(index, len(values) - 1)]].astype(np.float64)
+
+
+# § A scene: layers and actors, and how they lie in the world; with what else a scene folder holds.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +269,164 @@ class RigCamera:
     cy: float
     camera_to_ego: Float64[np.ndarray, "4 4"]
     exposure_s: float
+
+
+# § Where a thing is over time: samples of its pose, and what lies between them.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Where an actor is over time: samples, linear and slerp between them. Outside its times it stays put."""
+
+    times: Float64[np.ndarray, " t"]
+    """Seconds, rising."""
+    positions: Float64[np.ndarray, "t 3"]
+    """Bottom centre of the object, in scene units and axes."""
+    quaternions_wxyz: Float64[np.ndarray, "t 4"]
+    """Object (x forward, y left, z up) to scene axes, unit."""
+    valid: Bool[np.ndarray, " t"]
+    """Whether the object is in the scene from this sample to the next."""
+
+    @classmethod
+    def standing(cls, pose: Float64[np.ndarray, "4 4"]) -> "Track":
+        """Return the track of something that stays where it is; of a pose with scale, only place and turn."""
+        turn = pose[:3, :3] / np.cbrt(np.linalg.det(pose[:3, :3]))
+        quaternion = np.asarray(quaternions_from_matrices(turn[None]), np.float64)
+        return cls(np.zeros(1), pose[None, :3, 3].copy(), quaternion, np.ones(1, bool))
+
+    def pose(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
+        """Object to scene at a time, or None while the object is not there."""
+        if not len(self.times):
+            return None
+        lower = max(int(np.searchsorted(self.times, time_s, side="right")) - 1, 0)
+        upper = min(lower + 1, len(self.times) - 1)
+        if not self.valid[lower]:
+            return None
+        span = self.times[upper] - self.times[lower]
+        part = float(np.clip((time_s - self.times[lower]) / span, 0, 1)) if span > 0 else 0.0
+        matrix = np.eye(4)
+        matrix[:3, :3] = matrices_from_quaternions(
+            _slerp(self.quaternions_wxyz[lower], self.quaternions_wxyz[upper], part)
+        )
+        matrix[:3, 3] = (1 - part) * self.positions[lower] + part * self.positions[upper]
+        return matrix
+
+    def moved(self, similarity: Float64[np.ndarray, "4 4"]) -> "Track":
+        """Return the track moved, turned and scaled, all samples alike."""
+        turn = similarity[:3, :3] / np.cbrt(np.linalg.det(similarity[:3, :3]))
+        quaternions = quaternions_from_matrices(turn @ matrices_from_quaternions(self.quaternions_wxyz))
+        return Track(self.times, self.positions @ similarity[:3, :3].T + similarity[:3, 3], quaternions, self.valid)
+
+
+# § Colour grading: an affine change of display colours, so that it can be baked into harmonics exactly.
+
+
+class Grading(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is done to colours, in this order. The defaults change nothing."""
+
+    exposure_ev: Annotated[
+        float, Meta(ge=-6, le=6, title="Exposure", description="Stops brighter or darker.", extra={"unit": "EV"})
+    ] = 0.0
+    temperature: Annotated[
+        float, Meta(ge=-1, le=1, title="Temperature", description="Blue to the left, amber to the right.")
+    ] = 0.0
+    tint: Annotated[float, Meta(ge=-1, le=1, title="Tint", description="Green to the left, magenta to the right.")] = (
+        0.0
+    )
+    contrast: Annotated[
+        float, Meta(ge=0, le=3, title="Contrast", description="Distance from middle grey; 1 changes nothing.")
+    ] = 1.0
+    saturation: Annotated[
+        float, Meta(ge=0, le=3, title="Saturation", description="Distance from grey; 1 changes nothing, 0 is grey.")
+    ] = 1.0
+
+    @property
+    def matrix(self) -> Float64[np.ndarray, "3 4"]:
+        """Display colour c (0..1) becomes matrix[:, :3] @ c + matrix[:, 3]."""
+        light = 2.0**self.exposure_ev * np.array(
+            [2.0 ** (self.temperature + self.tint / 2), 2.0**-self.tint, 2.0 ** (-self.temperature + self.tint / 2)]
+        )
+        gains = np.diag(light ** (1 / _ENCODING))
+        greyed = np.outer(np.ones(3), _LUMA)
+        linear = (self.saturation * np.eye(3) + (1 - self.saturation) * greyed) @ (self.contrast * gains)
+        return np.concatenate([linear, np.full((3, 1), 0.5 * (1 - self.contrast))], axis=1)
+
+
+_LUMA = np.array([0.2126, 0.7152, 0.0722])
+"""Rec. 709."""
+
+_ENCODING = 2.2
+"""Display values are about light to the power of 1/2.2, so a factor of light is this root of it in display values."""
+
+UNCHANGED = Grading()
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Member:
+    """What layers and actors have in common."""
+
+    visible: bool = True
+    locked: bool = False
+    """Whether selection and edits pass it by."""
+    opacity: float = 1.0
+    """Multiplies that of each Gaussian; 0..1."""
+    grading: Grading = UNCHANGED
+    marks: Marks = UNMARKED
+    """Which of its Gaussians are selected, hidden or deleted."""
+    wet_sh: Float32[np.ndarray, "n k 3"] | None = None
+    """Harmonics of its Gaussians when they are soaked, as many as they have when clear; none where nobody knows them.
+
+    Treat the array as a value, and as one with `gaussians`: what reorders or turns the one does so with the other.
+    """
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layer(Member):
+    """Gaussians that stand still."""
+
+    name: str
+    gaussians: Gaussians
+    kind: Literal["background", "sky"] = "background"
+    to_scene: Float64[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
+    """Similarity from the Gaussians' own units and axes to the scene's."""
+
+    def __post_init__(self) -> None:
+        _check_wet_colors(self.key, self.gaussians, self.wet_sh)
+
+    @property
+    def key(self) -> str:
+        """Name among all members of a scene."""
+        return f"layers/{self.name}"
+
+    def way(self, time_s: float) -> Float64[np.ndarray, "4 4"]:
+        """Similarity to the scene, at any time."""
+        return self.to_scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Actor(Member):
+    """A thing that moves: Gaussians in its own frame (x forward, y left, z up, origin at the bottom centre)."""
+
+    id: str
+    class_name: str
+    size_lwh: tuple[float, float, float]
+    gaussians: Gaussians
+    track: Track
+
+    def __post_init__(self) -> None:
+        _check_wet_colors(self.key, self.gaussians, self.wet_sh)
+
+    @property
+    def key(self) -> str:
+        return f"actors/{self.id}"
+
+    @property
+    def name(self) -> str:
+        return self.id
+
+    def way(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
+        """Pose in the scene at a time; None while it is not there."""
+        return self.track.pose(time_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,3 +564,41 @@ def rotation_to_z_up(up: tuple[float, float, float]) -> Float64[np.ndarray, "3 3
         rotation = np.eye(3) + cross + cross @ cross / (1 + u[2])
     rotation.flags.writeable = False  # it is handed out again
     return rotation
+
+
+def _slerp(start: Float64[np.ndarray, "4"], end: Float64[np.ndarray, "4"], part: float) -> Float64[np.ndarray, "4"]:
+    """Spherical linear interpolation of unit quaternions along the shorter way (Shoemake, 1985)."""
+    cosine = float(start @ end)
+    if cosine < 0:
+        end, cosine = -end, -cosine
+    if cosine > 0.9995:  # nearly equal: the sine below would divide by nothing
+        mixed = (1 - part) * start + part * end
+    else:
+        angle = np.arccos(cosine)
+        mixed = (np.sin((1 - part) * angle) * start + np.sin(part * angle) * end) / np.sin(angle)
+    return mixed / np.linalg.norm(mixed)
+
+
+def graded(sh: Float32[np.ndarray, "n k 3"], matrix: Float64[np.ndarray, "3 4"]) -> Float32[np.ndarray, "n k 3"]:
+    """Harmonics of colours after an affine change; the colours are sums of harmonics + 0.5, as in 3DGS."""
+    changed = sh.astype(np.float64) @ matrix[:, :3].T
+    changed[:, 0] += (matrix @ np.array([0.5, 0.5, 0.5, 1.0]) - 0.5) / _FIRST
+    return changed.astype(np.float32)
+
+
+_FIRST = 0.28209479177387814
+"""The first harmonic, 1/(2 sqrt(pi))."""
+
+
+def rows_of(
+    member: Layer | Actor, indices: Int64[np.ndarray, " m"]
+) -> tuple[Gaussians, Float32[np.ndarray, "m k 3"] | None]:
+    """Pick Gaussians of a member by index, with their wet colours."""
+    return member.gaussians.take(indices), None if member.wet_sh is None else member.wet_sh[indices]
+
+
+def _check_wet_colors(key: str, gaussians: Gaussians, wet_sh: Float32[np.ndarray, "_ _ 3"] | None) -> None:
+    if wet_sh is not None and wet_sh.shape != gaussians.sh.shape:
+        raise ValueError(
+            f"{key}: wet colours have shape {wet_sh.shape}, expected {gaussians.sh.shape} as the clear ones"
+        )

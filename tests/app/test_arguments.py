@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 import pytest
 
-from app.commands.arguments import finite
-from app.commands.converted_options import RAIN_OPTIONS, converted_options
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.render.recording import Recording
+from app.options import RAIN_OPTIONS, converted_options, finite
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.render.export_settings import Recording
 
 
 @dataclass

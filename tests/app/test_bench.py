@@ -5,10 +5,9 @@ from functools import partial
 
 import pytest
 
-from app.command_line import BAD_INPUT, run
-from app.commands import bench as bench_command
-from app.commands import bench_recoloring
-from gsrain_engine.scene.formats import write_scene
+from app import bench as bench_command
+from app.main import BAD_INPUT, run
+from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 
 SMALL_CALL = {"sizes": "48x32", "frames": 2, "backends": "cpu"}
@@ -131,7 +130,7 @@ def test_recoloring_says_how_long_each_stage_takes(tmp_path):
 def test_alone_it_times_all_there_is(tmp_path, monkeypatch):
     file = tmp_path / "all.json"
     monkeypatch.setattr(bench_command, "render", partial(bench_command.render, **SMALL_CALL))
-    monkeypatch.setattr(bench_recoloring, "recoloring", partial(bench_recoloring.recoloring, views=2, size="48x32"))
+    monkeypatch.setattr(bench_command, "recoloring", partial(bench_command.recoloring, views=2, size="48x32"))
     write_scene(small_scene(), tmp_path / "small")
     assert run(["bench", "--scenes", str(tmp_path / "small"), "--json", str(file)]) == 0
     numbers = json.loads(file.read_text())

@@ -6,11 +6,11 @@ from dataclasses import replace
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
+from app.main import BAD_INPUT, run
+from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rain_state import rain_state
+from gsrain_engine.rain.properties import rain_state
+from gsrain_engine.rain.settings import Rain
 from measured_rain import measured_rain
 from parsivel_text import rain, station_line, velocity_major
 

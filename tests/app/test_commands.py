@@ -14,14 +14,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
-from app.commands import doctor
-from gsrain_engine.render import depth_sort
+from app import doctor
+from app.main import BAD_INPUT, run
+from gsrain_engine.render.opengl import sort
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.formats import read_scene, write_scene
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.scene import Layer, Scene
 
 
 @pytest.fixture(scope="module")
@@ -294,11 +293,11 @@ def test_doctor_tests_the_order_of_splats(tmp_path, monkeypatch, capsys):
 
     def wrong(context, count):
         sorted_counts.append(count)
-        return depth_sort.OrderCheck(count, missing=9_239, inversions=0, changed=12)
+        return sort.OrderCheck(count, missing=9_239, inversions=0, changed=12)
 
     sorted_counts = []
-    monkeypatch.setattr("gsrain_engine.render.context.is_software", lambda context: False)
-    monkeypatch.setattr(depth_sort, "check_order", wrong)
+    monkeypatch.setattr("gsrain_engine.render.opengl.context.is_software", lambda context: False)
+    monkeypatch.setattr(sort, "check_order", wrong)
     capsys.readouterr()
     assert run(["doctor", "--json", str(tmp_path / "wrong.json")]) == 1
     (line,) = [line for line in capsys.readouterr().out.splitlines() if name in line]

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from app.command_line import BAD_INPUT, run
-from gsrain_engine.rain.disdrometer.files import read_disdrometer
+from app.main import BAD_INPUT, run
+from gsrain_engine.disdrometer.open import read_disdrometer
 
 
 def disdrometer(*options):

@@ -5,9 +5,9 @@ import pytest
 pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 
-from app.commands import doctor
+from app import doctor
 from evaluate.detection.tiny_onnx import NAMES, rows, write_constant
-from gsrain_engine.evaluate.detection.detector_place import PLACE
+from gsrain_engine.evaluation.detection.detector import PLACE
 
 
 @pytest.fixture

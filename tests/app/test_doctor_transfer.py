@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from app.commands import doctor
-from gsrain_engine.appearance.cyclegan_turbo import places
-from gsrain_engine.appearance.cyclegan_turbo.architecture import sd_turbo
+from app import doctor
+from gsrain_engine.appearance.cyclegan_turbo import weight_paths
+from gsrain_engine.appearance.cyclegan_turbo.model import sd_turbo
 
 
 @pytest.fixture
@@ -14,7 +14,7 @@ def home(tmp_path, monkeypatch):
     """A machine on which nothing lies yet."""
     for variable, folder in (("XDG_DATA_HOME", "data"), ("XDG_CACHE_HOME", "cache"), ("HF_HOME", "hub")):
         monkeypatch.setenv(variable, str(tmp_path / folder))
-    for variable in (places.BASE_VARIABLE, places.WEIGHTS_VARIABLE, "HF_HUB_CACHE"):
+    for variable in (weight_paths.BASE_VARIABLE, weight_paths.WEIGHTS_VARIABLE, "HF_HUB_CACHE"):
         monkeypatch.delenv(variable, raising=False)
     return tmp_path
 
@@ -35,14 +35,14 @@ def _lay_down(base, *, width=320):
 def test_what_is_missing_comes_with_how_to_get_it(home):
     base, weights = doctor.find_base_model(), doctor.find_transfer_weights()
     assert not base.found and not weights.found
-    assert "hf download stabilityai/sd-turbo" in base.what and str(places.data_folder() / "sd-turbo") in base.what
-    assert places.PUBLISHED_URL in weights.what and str(places.data_folder() / "transfer") in weights.what
+    assert "hf download stabilityai/sd-turbo" in base.what and str(weight_paths.data_folder() / "sd-turbo") in base.what
+    assert weight_paths.PUBLISHED_URL in weights.what and str(weight_paths.data_folder() / "transfer") in weights.what
     assert not doctor.find_text_encoder().found
 
 
 def test_a_whole_base_of_the_right_architecture_is_found(home, monkeypatch):
     base = home / "sd-turbo"
-    monkeypatch.setenv(places.BASE_VARIABLE, str(base))
+    monkeypatch.setenv(weight_paths.BASE_VARIABLE, str(base))
     _lay_down(base)
     assert "unet: no weights" in doctor.find_base_model().what
     for part in ("unet", "vae"):
@@ -56,20 +56,20 @@ def test_a_whole_base_of_the_right_architecture_is_found(home, monkeypatch):
 
 def test_the_text_encoder_is_needed_once(home, monkeypatch):
     base = home / "sd-turbo"
-    monkeypatch.setenv(places.BASE_VARIABLE, str(base))
+    monkeypatch.setenv(weight_paths.BASE_VARIABLE, str(base))
     _lay_down(base)
     assert "comes with SD-Turbo" in doctor.find_text_encoder().what
     (base / "tokenizer").mkdir()
     (base / "text_encoder").mkdir()
     (base / "text_encoder" / "config.json").write_text("{}")
     assert doctor.find_text_encoder().what == str(base / "text_encoder")
-    places.captions_file().parent.mkdir(parents=True)
-    places.captions_file().touch()
+    weight_paths.captions_file().parent.mkdir(parents=True)
+    weight_paths.captions_file().touch()
     assert "captions are kept in" in doctor.find_text_encoder().what
 
 
 def test_weights_are_named_with_their_size(home):
-    folder = places.data_folder() / "transfer"
+    folder = weight_paths.data_folder() / "transfer"
     folder.mkdir(parents=True)
     (folder / "clear2rainy.pkl").write_bytes(bytes(3_000_000))
     found = doctor.find_transfer_weights()

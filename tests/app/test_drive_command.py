@@ -7,13 +7,14 @@ import av
 import numpy as np
 import pytest
 
-from app.command_line import BAD_INPUT, run
-from app.commands.driving import drive_files, driver_options
-from gsrain_engine.drive.agents.constant_velocity import ConstantVelocityAgent
-from gsrain_engine.drive.rollouts.json_lines import read_rollout
-from gsrain_engine.drive.scenario.scenario_files import load_scenario, scenario_names
-from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.scene.members import Layer
+from app import drive as drive_command
+from app import drive_outputs
+from app.main import BAD_INPUT, run
+from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.scene import Layer
+from gsrain_engine.simulation.agents.base import ConstantVelocityAgent
+from gsrain_engine.simulation.rollout_io import read_rollout
+from gsrain_engine.simulation.scenario_io import load_scenario, scenario_names
 from small_scene import patch, small_scene
 
 LEAD = """
@@ -102,7 +103,7 @@ def test_bad_input_gets_one_line(arguments, says, tmp_path, monkeypatch, capsys)
 
 def test_what_an_export_needs_is_told_before_the_drive(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(drive_files.EXPORTS, "mcap", "a_package_that_is_not_there")
+    monkeypatch.setitem(drive_outputs.EXPORTS, "mcap", "a_package_that_is_not_there")
     assert drive("--export", "mcap") == BAD_INPUT
     said = capsys.readouterr().err
     assert "--export mcap needs a_package_that_is_not_there: pip install 'gsrain[drive]'" in said
@@ -139,7 +140,7 @@ def test_a_start_inside_of_the_scene_says_what_to_look_at(scenario, tmp_path, ca
 
 
 def test_an_agent_that_cannot_be_is_told_before_the_scene_is_read(scenario, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("app.commands.drive.open_to_draw", lambda name: pytest.fail("the scene was read"))
+    monkeypatch.setattr("app.drive.open_to_draw", lambda name: pytest.fail("the scene was read"))
     assert drive(scenario, "--agent", "http", "-o", tmp_path / "out") == BAD_INPUT
     assert "agent http: say where it listens" in capsys.readouterr().err
 
@@ -152,7 +153,7 @@ class _Broken(ConstantVelocityAgent):
 
 
 def test_what_was_driven_until_an_agent_failed_is_written(scenario, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(driver_options, "open_agent", lambda name, options: _Broken())
+    monkeypatch.setattr(drive_command, "open_agent", lambda name, options: _Broken())
     assert drive(scenario, "--agent", "constant-velocity", "-o", tmp_path, "--no-video") == BAD_INPUT
     assert "agent constant-velocity: no such way" in capsys.readouterr().err
     rollout = read_rollout(tmp_path / "standing_constant-velocity_8.5mm_seed0.jsonl")
@@ -162,7 +163,7 @@ def test_what_was_driven_until_an_agent_failed_is_written(scenario, tmp_path, mo
 def test_a_driver_of_ones_own_may_fail_as_it_likes(scenario, tmp_path, capsys):
     own = tmp_path / "mine.py"
     own.write_text(
-        "from gsrain_engine.drive.agents.constant_velocity import ConstantVelocityAgent as Shipped\n"
+        "from gsrain_engine.simulation.agents.base import ConstantVelocityAgent as Shipped\n"
         "class Mine(Shipped):\n"
         "    def plan(self, observation):\n"
         "        return super().plan(observation) if observation.step < 2 else {}[observation.step]\n"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
-from gsrain_engine.datasets.rainsense.sequence import find_rain_sequences
+from app.main import BAD_INPUT, run
+from gsrain_engine.datasets.rainsense import find_rain_sequences
 
 WIDTH, HEIGHT, FRAMES = 256, 192, 8
 INTRINSICS = """K_cam:

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
+from app.main import BAD_INPUT, run
 from boxy_scene import boxy_scene
 from colmap_files import write_binary, write_pictures
 from gsrain_engine.datasets.capture import View
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.evaluate.detection.detector import Detector
-from gsrain_engine.scene.formats import read_scene, write_scene
+from gsrain_engine.evaluation.detection.detector import Detector
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.rig import rig_camera
 from small_scene import small_scene
 
@@ -22,7 +22,7 @@ pytest.importorskip("onnxruntime")
 pytest.importorskip("pycocotools")
 onnx = pytest.importorskip("onnx")
 
-from evaluate.detection.tiny_onnx import NAMES, write_red_finder  # noqa: E402  needs onnx
+from evaluate.detection.tiny_onnx import NAMES, write_red_finder  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -256,7 +256,7 @@ def test_a_reconstruction_is_tried_beside_its_pictures(project, detector, tmp_pa
 
 
 def test_what_is_not_installed_is_told_before_the_work(project, detector, monkeypatch, capsys):
-    monkeypatch.setattr("app.commands.evaluate.detection.find_spec", lambda name: None)
+    monkeypatch.setattr("app.evaluate.detection.find_spec", lambda name: None)
     assert evaluate(project, detector) == BAD_INPUT
     said = "gsrain evaluate detection needs onnxruntime and pycocotools: pip install 'gsrain[evaluate]'"
     assert said in capsys.readouterr().err

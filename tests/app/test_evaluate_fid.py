@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from app.command_line import BAD_INPUT, run
-from gsrain_engine.evaluate.distribution.feature_cache import PLACE as CACHE
-from gsrain_engine.evaluate.distribution.network_weights import INCEPTION_PLACE
+from app.main import BAD_INPUT, run
+from gsrain_engine.evaluation.fid import PLACE as CACHE
+from gsrain_engine.evaluation.fid_torch_features import INCEPTION_PLACE
 
 from .picture_sets import write_pictures
 
@@ -120,7 +120,7 @@ def test_bad_sets_end_in_one_line(sets, tmp_path, capsys, caplog):
 
 def test_lpips_weights_become_plain_arrays(tmp_path, capsys):
     pytest.importorskip("safetensors")
-    from gsrain_engine.evaluate.lpips_weights import read_lpips_weights
+    from gsrain_engine.evaluation.lpips_weights import read_lpips_weights
 
     from ..evaluate.random_lpips import random_weights
 
@@ -155,7 +155,7 @@ def test_lpips_weights_become_plain_arrays(tmp_path, capsys):
 
 def test_doctor_looks_for_inception(tmp_path, monkeypatch):
     pytest.importorskip("torch")
-    from app.commands.doctor import find_inception
+    from app.doctor import find_inception
 
     from ..evaluate.distribution.random_networks import write_inception
 

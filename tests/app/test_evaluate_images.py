@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
-from gsrain_engine.evaluate.image_metrics import psnr, ssim
-from gsrain_engine.evaluate.mean_interval import mean_interval
+from app.main import BAD_INPUT, run
+from gsrain_engine.evaluation.image_metrics import mean_interval, psnr, ssim
 
 from .picture_sets import write_pictures
 

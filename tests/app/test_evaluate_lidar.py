@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 
-from app.command_line import BAD_INPUT, run
-from gsrain_engine.scene.formats import write_scene
+from app.main import BAD_INPUT, run
+from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 
 

@@ -8,12 +8,12 @@ import pytest
 import yaml
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
-from gsrain_engine.appearance.cyclegan_turbo import places
-from gsrain_engine.appearance.transferred_folder import read_transferred
+from app.main import BAD_INPUT, run
+from gsrain_engine.appearance.cyclegan_turbo import weight_paths
+from gsrain_engine.appearance.output_folder import read_transferred
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.evaluate.distribution.feature_cache import PLACE as CACHE
-from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.evaluation.fid import PLACE as CACHE
+from gsrain_engine.scene.formats.scene_files import write_scene
 from tests.reconstruct.drive_capture import drive_capture
 from tests.reconstruct.small_street import small_street
 
@@ -32,8 +32,8 @@ def files(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def own_places(tmp_path, monkeypatch, files):
     monkeypatch.setenv(CACHE, str(tmp_path / "cache"))
-    monkeypatch.setenv(places.WEIGHTS_VARIABLE, str(tmp_path / "no weights"))
-    monkeypatch.setenv(places.BASE_VARIABLE, str(tmp_path / "no base"))
+    monkeypatch.setenv(weight_paths.WEIGHTS_VARIABLE, str(tmp_path / "no weights"))
+    monkeypatch.setenv(weight_paths.BASE_VARIABLE, str(tmp_path / "no base"))
     monkeypatch.chdir(files)
 
 
@@ -53,9 +53,8 @@ def transfers(tmp_path, told, *options):
 
 def test_ablations_of_a_tiny_model_become_table_and_figure(tmp_path, capsys):
     pytest.importorskip("diffusers")
-    from gsrain_engine.appearance.cyclegan_turbo.architecture import tiny
     from gsrain_engine.appearance.cyclegan_turbo.lora import LoraRanks
-    from gsrain_engine.appearance.cyclegan_turbo.model import build
+    from gsrain_engine.appearance.cyclegan_turbo.model import build, tiny
     from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights
 
     weights, out = tmp_path / "tiny.safetensors", tmp_path / "out"

@@ -13,23 +13,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app import command_line
-from app.command_line import run
-from app.commands import recolor, reconstruct, train_transfer
-from app.commands.doctor import Finding
-from app.commands.progress import followed, progress_bar
+from app import main, train, translate
 from app.console import Console, Table, bold, print_lines, use_any_encoding
 from app.console import print as print_line
+from app.doctor import Finding
+from app.main import run
+from app.progress import followed, progress_bar
 from drive.sweeps.small_sweep import write_road, write_scenario
 from gsrain_engine.datasets.capture import Capture
-from gsrain_engine.evaluate.report.page import report_page
-from gsrain_engine.evaluate.report.run_report import ReportTable, RunReport
-from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.scene.members import Actor
+from gsrain_engine.evaluation.report import ReportTable, RunReport, report_page
+from gsrain_engine.safe_io.text_files import escaped, figure_words
+from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.progress import Progress
-from gsrain_engine.scene.track import Track
-from gsrain_engine.untrusted.figure_words import figure_words
-from gsrain_engine.untrusted.printable import escaped
+from gsrain_engine.scene.scene import Actor, Track
 from small_scene import small_scene
 
 NAME = "\x1b]0;owned\x07\u202e[red][/x]\nOK\u2066"
@@ -176,9 +172,9 @@ def _two(place: Path) -> list[str]:
 def commands() -> Iterator[str]:
     """Every command of the program."""
     yield "view"
-    yield from command_line.COMMANDS
-    yield from (f"bench {name}" for name in command_line.benchmarks if not name.startswith("-"))
-    yield from (f"evaluate {name}" for name in command_line._OUR_EVALUATIONS if not name.startswith("-"))
+    yield from main.COMMANDS
+    yield from (f"bench {name}" for name in main.benchmarks if not name.startswith("-"))
+    yield from (f"evaluate {name}" for name in main._OUR_EVALUATIONS if not name.startswith("-"))
 
 
 def test_the_table_has_every_command():
@@ -188,7 +184,7 @@ def test_the_table_has_every_command():
 @pytest.fixture
 def installed(monkeypatch):
     """Pretend that doctor finds only a package whose words are such, and no graphics, which take seconds."""
-    from app.commands import doctor
+    from app import doctor
 
     found = Finding(NAME, True, f"OpenGL of {NAME}")
     for name in [each for each in vars(doctor) if each.startswith(("_", "find_")) and each not in ("__builtins__",)]:
@@ -258,11 +254,11 @@ def test_results_of_long_commands(capsys):
         warning, weights, grid = NAME, Path(FILE), Path(FILE)
         perceptual, steps, seconds = False, 1, 1.0
 
-    train_transfer._print(Anything())
+    translate._print(Anything())
     with pytest.raises(AttributeError):  # the problems are printed before what is missing here
-        recolor._print(Anything(), Capture("c", (), problems=(NAME,)))
+        train._print_recolor(Anything(), Capture("c", (), problems=(NAME,)))
     with pytest.raises(AttributeError):
-        reconstruct._print(Anything(), Path(FILE))
+        train._print(Anything(), Path(FILE))
     assert clean(capsys.readouterr().out).count("\\u202e") >= 6
 
 

@@ -12,11 +12,11 @@ SLOW = ("matplotlib", "onnxruntime", "torch", *(f"scipy.{part}" for part in SCIP
 @pytest.mark.parametrize(
     ("modules", "slow"),
     [
-        ("app.command_line", ("numpy", "numba", "gsrain_engine.scene.scene")),
-        ("app.window", ("scipy", "numba")),
-        ("app.workspace", SLOW),
-        ("app.commands.render, app.commands.drive", SLOW),
-        ("app.commands.info, app.commands.convert, app.commands.evaluate.images", SLOW),
+        ("app.main", ("numpy", "numba", "gsrain_engine.scene.scene")),
+        ("ui.window", ("scipy", "numba")),
+        ("ui.workspace", SLOW),
+        ("app.render, app.drive", SLOW),
+        ("app.scene, app.scene, app.evaluate.images", SLOW),
     ],
 )
 def test_a_start_does_not_load_what_it_may_never_need(modules, slow):

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
+from app.main import BAD_INPUT, run
 from colmap_files import write_binary, write_pictures
 from datasets.test_capture_folder import views as capture_views
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.session.files.opened import read_opened
+from gsrain_engine.editor.files import read_opened
+from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 
 

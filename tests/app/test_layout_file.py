@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from app.layout_file import own_layout
-from gsrain_engine.session.preferences.places import config_folder, state_folder
+from gsrain_engine.editor.preferences import config_folder, state_folder
+from ui.window import own_layout
 
 
 @pytest.fixture(autouse=True)

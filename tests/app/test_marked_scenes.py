@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.command_line import run
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
+from app.main import run
+from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_scene import small_scene
 
 

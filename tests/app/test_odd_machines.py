@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.command_line import BAD_INPUT, NOBODY_READS, run
+from app.main import BAD_INPUT, NOBODY_READS, run
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="other systems take other names")
@@ -39,7 +39,7 @@ def test_the_street_is_photographed_without_libraries_of_x(tmp_path):
     program = """
 import sys
 import numpy as np
-from gsrain_engine.datasets.street.mesh_rasterizer import MeshRasterizer
+from gsrain_engine.datasets.street import MeshRasterizer
 stage = MeshRasterizer()
 stage.add(np.zeros((1, 4, 3), np.float32), np.ones((1, 4, 4)), np.eye(4))
 assert "pyglet" not in sys.modules
@@ -50,7 +50,7 @@ assert "pyglet" not in sys.modules
 
 def test_a_library_that_can_t_be_loaded_is_one_sentence(monkeypatch, capsys):
     missing = "libGL.so.1: cannot open shared object file"
-    monkeypatch.setattr("app.commands.info.open_scene", lambda name: (_ for _ in ()).throw(ImportError(missing)))
+    monkeypatch.setattr("app.scene.open_scene", lambda name: (_ for _ in ()).throw(ImportError(missing)))
     assert run(["info", "street"]) == BAD_INPUT
     said = capsys.readouterr().err
     assert said == f"gsrain: a library can't be loaded: {missing}; gsrain doctor says what is missing\n"
@@ -60,9 +60,9 @@ def test_files_of_any_name_are_written_where_the_locale_has_no_letters_for_them(
     program = """
 import os, sys
 from pathlib import Path
-from app.command_line import run
-from gsrain_engine.scene.atomic_files import whole_file
-from gsrain_engine.scene.file_names import name_problem, shortened
+from app.main import run
+from gsrain_engine.scene.files import whole_file
+from gsrain_engine.scene.files import name_problem, shortened
 assert sys.getfilesystemencoding() == "ascii", sys.getfilesystemencoding()
 path = Path(sys.argv[1])
 with whole_file(path) as beside:
@@ -80,7 +80,7 @@ raise SystemExit(run(["info", str(path)]))
 
 
 def test_names_that_the_terminal_has_no_letters_for_are_printed_as_escapes(tmp_path):
-    program = "import sys; from app.command_line import run; raise SystemExit(run(sys.argv[1:]))"
+    program = "import sys; from app.main import run; raise SystemExit(run(sys.argv[1:]))"
     code, _, said = python(program, "info", tmp_path / "雨", PYTHONIOENCODING="ascii:strict")
     assert code == BAD_INPUT and r"\u96e8" in said and len(said.splitlines()) == 1
 
@@ -88,8 +88,8 @@ def test_names_that_the_terminal_has_no_letters_for_are_printed_as_escapes(tmp_p
 def test_output_that_nobody_reads_ends_without_a_word():
     program = """
 import sys
-from app.command_line import run
-import app.commands.info as info
+from app.main import run
+import app.scene as info
 def talk(name):
     for _ in range(100_000):
         print("street")

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from app.command_line import run
+from app.main import run
 
 OPTIONS = {
     "render": "--rain --preset --camera --camera-path --size --fps --duration --time --seed --exposure --closure "

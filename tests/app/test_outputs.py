@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from app.command_line import BAD_INPUT, app, run
-from app.commands.outputs import check_scene_folder, check_writable, report_beside
-from gsrain_engine.scene.file_names import file_word, name_problem, shortened
+from app.main import BAD_INPUT, app, run
+from app.options import check_scene_folder, check_writable, report_beside
+from gsrain_engine.scene.files import file_word, name_problem, shortened
 
 OUTPUTS = {
     "render": ["street -o OUT.png", "street -o ok.png --json OUT"],

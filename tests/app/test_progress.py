@@ -2,7 +2,7 @@
 
 import pytest
 
-from app.commands.progress import progress_bar
+from app.progress import progress_bar
 
 
 @pytest.fixture

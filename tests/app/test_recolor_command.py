@@ -4,13 +4,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.command_line import run
+from app.main import run
 from colmap_files import cut_rows
 from gsrain_engine.datasets.capture import View
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.session.jobs import torch_extra
+from gsrain_engine.editor.jobs import training
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from tests.reconstruct.changed_street import street_and_pictures
 
 
@@ -93,7 +93,7 @@ def test_pictures_of_different_sizes_go_all_the_way(files, tmp_path):
 )
 def test_bad_input_ends_in_one_line(files, capsys, monkeypatch, changes, expected):
     monkeypatch.chdir(files)
-    monkeypatch.setattr(torch_extra, "has_torch", lambda: False)
+    monkeypatch.setattr(training, "has_torch", lambda: False)
     options = {"--images": "capture", "-o": "out"} | changes
     assert run(["recolor", "clear", *(word for pair in options.items() for word in pair)]) == 2
     message = capsys.readouterr().err
@@ -105,7 +105,7 @@ def test_bad_input_ends_in_one_line(files, capsys, monkeypatch, changes, expecte
 def test_colors_can_be_polished_and_everything_refined(files, tmp_path):
     pytest.importorskip("torch")
     from gsrain_engine.datasets.open_capture import open_capture
-    from gsrain_engine.reconstruct.recoloring.run import RecolorOptions, recolor_to_capture
+    from gsrain_engine.recolor.recolor import RecolorOptions, recolor_to_capture
 
     scene, capture = read_scene(files / "clear"), open_capture(files / "capture")
     options = RecolorOptions(held_out=5)

@@ -10,11 +10,11 @@ from PIL import Image
 
 pytest.importorskip("torch")
 
-from app.command_line import run
+from app.main import run
 from colmap_files import cut_rows, write_undistorted
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.reconstruct.training.start import OwnBody
-from gsrain_engine.scene.formats import read_scene
+from gsrain_engine.scene.formats.scene_files import read_scene
+from gsrain_engine.training.train import OwnBody
 from reconstruct.drive_capture import drive_capture
 from small_capture import small_capture
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image, ImageCms
 
-from app.command_line import BAD_INPUT, run
+from app.main import BAD_INPUT, run
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.scene.paths.camera_path import CameraPath
-from gsrain_engine.scene.paths.files import read_camera_path
+from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.camera_path_io import read_camera_path
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_scene import small_scene
 
 

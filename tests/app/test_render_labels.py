@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
+from app.main import BAD_INPUT, run
 from boxy_scene import SIZE_LWH, boxy_scene
-from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.formats.scene_files import write_scene
 from oracles.run_lengths import unpacked
 from small_scene import small_scene
 

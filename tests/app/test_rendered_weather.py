@@ -7,10 +7,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from app.command_line import run
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.weather import Weather, WeatherKey
-from gsrain_engine.scene.formats import write_scene
+from app.main import run
+from gsrain_engine.rain.keyframes import Weather, WeatherKey
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 
 

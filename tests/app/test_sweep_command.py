@@ -8,14 +8,14 @@ from functools import partial
 
 import pytest
 
-from app.command_line import BAD_INPUT, run
-from app.commands.sweep import SOME_FAILED
+from app.main import BAD_INPUT, run
+from app.sweep import SOME_FAILED
 from drive.sweeps.small_sweep import write_road, write_scenario
-from gsrain_engine.drive.sweeps.expansion import jobs_of
-from gsrain_engine.drive.sweeps.sweep import load_sweep
-from gsrain_engine.drive.sweeps.work import do
-from gsrain_engine.scene import trusted_code
-from gsrain_engine.scene.trusted_code import read_code
+from gsrain_engine import trusted_code
+from gsrain_engine.sweep.expansion import jobs_of
+from gsrain_engine.sweep.settings import load_sweep
+from gsrain_engine.sweep.worker import do
+from gsrain_engine.trusted_code import read_code
 
 
 @pytest.fixture
@@ -100,7 +100,7 @@ def test_a_sweep_without_a_folder_asks_for_one(sweep, capsys):
 
 
 def test_ctrl_c_says_how_it_goes_on(sweep, tmp_path, capsys, monkeypatch):
-    from app.commands import sweep as command
+    from app import sweep as command
 
     def stopped(work):
         for _ in range(4):
@@ -115,7 +115,7 @@ def test_ctrl_c_says_how_it_goes_on(sweep, tmp_path, capsys, monkeypatch):
 
 _DRIVER = """
 from pathlib import Path
-from gsrain_engine.drive.agents.constant_velocity import ConstantVelocityAgent
+from gsrain_engine.simulation.agents.base import ConstantVelocityAgent
 
 class Mine(ConstantVelocityAgent):
     name = "mine"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
+from app.main import BAD_INPUT, run
 
 _CONFIG = """
 architecture: tiny
@@ -39,7 +39,7 @@ def test_a_training_from_start_to_weights(
 ) -> None:
     pytest.importorskip("diffusers")
     from appearance.finetuning.small_training import small
-    from gsrain_engine.appearance.finetuning import start
+    from gsrain_engine.appearance.finetune import run as start
 
     monkeypatch.setattr(start, "tiny", small)
     command = ["train-transfer", "own.yaml", "-o", "run", "--clear", "clear", "--rainy", "rainy", "--json", "run.json"]

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.command_line import run
-from gsrain_engine.appearance.transferred_folder import read_transferred
-from gsrain_engine.appearance.views.choice import OWN_WIDTH_PX, ViewChoice, chosen_cameras
+from app.main import run
+from gsrain_engine.appearance.output_folder import read_transferred
+from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX, ViewChoice, chosen_cameras
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.datasets.geometry.scaled_camera import scaled_camera
+from gsrain_engine.datasets.geometry import scaled_camera
 from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.editor.jobs import training
 from gsrain_engine.rain.wetness import wetness
-from gsrain_engine.reconstruct.recoloring.run import RecolorOptions
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.session.jobs import torch_extra
+from gsrain_engine.recolor.recolor import RecolorOptions
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from tests.reconstruct.drive_capture import drive_capture
 from tests.reconstruct.small_street import small_street
 
@@ -74,9 +74,8 @@ def test_what_another_program_made_of_the_views_takes_the_place_of_a_transfer(fi
 def test_the_learned_method_runs_from_a_file_of_weights(files, tmp_path):
     pytest.importorskip("torch")
     pytest.importorskip("diffusers")
-    from gsrain_engine.appearance.cyclegan_turbo.architecture import tiny
     from gsrain_engine.appearance.cyclegan_turbo.lora import LoraRanks
-    from gsrain_engine.appearance.cyclegan_turbo.model import build
+    from gsrain_engine.appearance.cyclegan_turbo.model import build, tiny
     from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights
 
     weights, out = tmp_path / "tiny.safetensors", tmp_path / "out"
@@ -146,7 +145,7 @@ def test_recorded_cameras_of_a_scene_are_those_of_its_capture(files, tmp_path):
 )
 def test_bad_input_ends_in_one_line(files, capsys, monkeypatch, changes, expected):
     monkeypatch.chdir(files)
-    monkeypatch.setattr(torch_extra, "has_torch", lambda: False)
+    monkeypatch.setattr(training, "has_torch", lambda: False)
     options = {"SOURCE": "scene", "-o": "out"} | changes
     source = options.pop("SOURCE")
     assert run(["transfer", source, *(word for pair in options.items() for word in pair)]) == 2
@@ -193,9 +192,8 @@ def test_pictures_alone_are_not_made_wet_and_that_is_said(tmp_path, capsys):
 def test_pictures_without_poses_do_not_attend_to_each_other(tmp_path, capsys):
     pytest.importorskip("torch")
     pytest.importorskip("diffusers")
-    from gsrain_engine.appearance.cyclegan_turbo.architecture import tiny
     from gsrain_engine.appearance.cyclegan_turbo.lora import LoraRanks
-    from gsrain_engine.appearance.cyclegan_turbo.model import build
+    from gsrain_engine.appearance.cyclegan_turbo.model import build, tiny
     from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights
 
     weights, pictures = tmp_path / "tiny.safetensors", street_pictures(tmp_path / "pictures")

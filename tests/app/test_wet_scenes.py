@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.scene.wet_colors import blended_sh
+from app.main import BAD_INPUT, run
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.scene.transforms import blended_sh
 from small_scene import small_scene
 
 

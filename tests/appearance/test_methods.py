@@ -4,15 +4,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.appearance.before_and_after import BeforeAndAfter
-from gsrain_engine.appearance.clear_view import ClearView
-from gsrain_engine.appearance.methods import METHODS, method_of, open_transfer
-from gsrain_engine.appearance.stand_in import PictureStandIn
-from gsrain_engine.appearance.transfer import RainyView, Transfer
-from gsrain_engine.appearance.transfer_record import TransferRecord
-from gsrain_engine.appearance.transfer_settings import TransferSettings
-from gsrain_engine.appearance.transferred_folder import write_transferred
-from gsrain_engine.appearance.wet.picture_surroundings import PictureSurroundings
+from gsrain_engine.appearance.base import ClearView, RainyView, Transfer, TransferSettings
+from gsrain_engine.appearance.output_folder import BeforeAndAfter, PictureStandIn, TransferRecord, write_transferred
+from gsrain_engine.appearance.registry import METHODS, method_of, open_transfer
+from gsrain_engine.appearance.wet_look.environment import PictureSurroundings
 from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.scene.camera import Camera
 

@@ -5,10 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.clear_view import ClearView
-from gsrain_engine.appearance.transfer import RainyView
-from gsrain_engine.appearance.transfer_record import TransferRecord, read_record
-from gsrain_engine.appearance.transferred_folder import read_transferred, write_transferred
+from gsrain_engine.appearance.base import ClearView, RainyView
+from gsrain_engine.appearance.output_folder import TransferRecord, read_record, read_transferred, write_transferred
 from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.camera import Camera, look_at

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.geometry.box_tracks import BoxSample, tracked_boxes
+from gsrain_engine.datasets.geometry import BoxSample, tracked_boxes
 
 TIMES = [0.0, 1.0, 2.0, 3.0, 4.0]
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 from colmap_files import POINTS, write_binary, write_pictures, write_text
 from gsrain_engine.datasets.capture import Capture, CaptureError, Lens
-from gsrain_engine.datasets.geometry.lens_projection import project_points
+from gsrain_engine.datasets.geometry import project_points
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, CaptureError
-from gsrain_engine.datasets.dgp.reader import read_dgp
+from gsrain_engine.datasets.dgp import read_dgp
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from lidar_edges import agreement_when_turned
 from mini_drive import BOX_LWH, FOCAL, HEIGHT, WIDTH, MiniDrive, points_inside, quaternion

@@ -3,11 +3,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets import driving_record
+from gsrain_engine.datasets import driving_log
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, CaptureError, View
-from gsrain_engine.datasets.driving_record import DrivingRecord, Scan
-from gsrain_engine.datasets.geometry.rigid_poses import moved_to, rigid_from_numbers, rigid_from_quaternion
-from gsrain_engine.datasets.geometry.road_height import road_height
+from gsrain_engine.datasets.driving_log import DrivingRecord, Scan
+from gsrain_engine.datasets.geometry import moved_to, rigid_from_numbers, rigid_from_quaternion, road_height
 from gsrain_engine.scene.camera import Camera
 
 
@@ -35,7 +34,7 @@ def test_points_far_from_the_data_sets_origin_keep_their_millimetres() -> None:
 
 
 def test_a_drive_too_long_for_the_memory_is_thinned_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(driving_record, "MOST_POINTS", 1000)
+    monkeypatch.setattr(driving_log, "MOST_POINTS", 1000)
     capture = _record([_scan(np.full((600, 3), 50.0)) for _ in range(5)]).capture()
     assert [len(sweep.points_m) for sweep in capture.sweeps] == [200] * 5
     assert capture.sweeps[0].intensities is not None

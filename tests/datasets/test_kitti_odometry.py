@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, CaptureError
-from gsrain_engine.datasets.kitti.calibration import CAMERA_HEIGHT_M
+from gsrain_engine.datasets.kitti import CAMERA_HEIGHT_M
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from mini_drive import FOCAL, HEIGHT, STEP_M, WIDTH, MiniDrive, turned
 

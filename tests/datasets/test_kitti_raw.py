@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.datasets.geometry.rigid_poses import rigid
-from gsrain_engine.datasets.kitti.calibration import IMU_HEIGHT_M, KittiCamera
-from gsrain_engine.datasets.kitti.oxts import oxts_poses
+from gsrain_engine.datasets.geometry import rigid
+from gsrain_engine.datasets.kitti import IMU_HEIGHT_M, KittiCamera, oxts_poses
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from mini_drive import BOX_LWH, FOCAL, HEIGHT, WIDTH, YAW, MiniDrive, turned
 

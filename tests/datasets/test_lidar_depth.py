@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import Lens, Sweep, View
-from gsrain_engine.datasets.geometry.lens_projection import project_points
-from gsrain_engine.datasets.geometry.lidar_depth import lidar_depth, nearest_sweep, point_depth
+from gsrain_engine.datasets.geometry import lidar_depth, nearest_sweep, point_depth, project_points
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.camera import Camera
 

@@ -7,16 +7,15 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
+from app.main import BAD_INPUT, run
 from colmap_files import write_binary, write_pictures, write_text
 from datasets.test_capture_folder import views
 from datasets.test_dgp import write_dgp
 from datasets.test_nerfstudio import INTRINSICS, opengl_pose
 from datasets.test_nuscenes import write_nuscenes, write_tables
 from datasets.test_nuscenes_infos import write_infos
-from gsrain_engine.datasets.capture import Capture, CaptureError
+from gsrain_engine.datasets.capture import Capture, CaptureError, OutsideError
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.datasets.files.inside import OutsideError
 from gsrain_engine.datasets.open_capture import open_capture
 from mini_drive import MiniDrive
 

@@ -6,16 +6,16 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
+from app.main import BAD_INPUT, run
 from colmap_files import write_binary, write_pictures
 from datasets.test_kitti_odometry import write_sequence
 from datasets.test_kitti_raw import drive_on_the_road, write_kitti
 from datasets.test_nuscenes import write_nuscenes
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.datasets.nearest_kind import nearest_kind
+from gsrain_engine.datasets.layout_hints import nearest_kind
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.formats import read_scene
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.formats.scene_files import read_scene
 from mini_drive import MiniDrive
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.datasets.nuscenes.reader import read_nuscenes
+from gsrain_engine.datasets.nuscenes import read_nuscenes
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from mini_drive import BOX_LWH, FOCAL, HEIGHT, WIDTH, MiniDrive, quaternion
 

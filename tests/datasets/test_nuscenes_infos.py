@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, CaptureError
-from gsrain_engine.datasets.files.safe_pickle import read_pickle
+from gsrain_engine.datasets.io.safe_pickle import read_pickle
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from lidar_edges import agreement_when_turned
 from mini_drive import BOX_LWH, FOCAL, HEIGHT, WIDTH, MiniDrive, points_inside, quaternion

@@ -6,8 +6,8 @@ from PIL import Image
 
 from gsrain_engine.datasets.capture import Capture, CaptureError, Lens, View
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.datasets.other_pictures import flat_name, with_images
-from gsrain_engine.datasets.prepared import prepared
+from gsrain_engine.datasets.image_override import flat_name, with_images
+from gsrain_engine.datasets.undistort import prepared
 from gsrain_engine.scene.camera import Camera
 
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from gsrain_engine.datasets.capture import Capture, Sweep, TrackedBox, View
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.datasets.overlay import chosen_views, contact_sheet, overlay
+from gsrain_engine.datasets.summary import chosen_views, contact_sheet, overlay
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Track
 
 AHEAD = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 CAMERA = Camera(200, 100, 100.0, 100.0, 100.0, 50.0, AHEAD)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.datasets.files.picture_file import picture_size, pictures_in, read_color, read_labels, read_mask
+from gsrain_engine.datasets.io.images import picture_size, pictures_in, read_color, read_labels, read_mask
 
 NOISE = np.random.default_rng(3).integers(0, 256, (20, 30, 3), np.uint8)
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gsrain_engine.datasets import pose_fit
 from gsrain_engine.datasets.capture import Capture, Sweep, View
-from gsrain_engine.datasets.checks import epipolar_fit
-from gsrain_engine.datasets.checks.epipolar_fit import Matches
-from gsrain_engine.datasets.checks.pose_checks import check_poses
-from gsrain_engine.datasets.geometry.lens_projection import project_points
+from gsrain_engine.datasets.geometry import project_points
 from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.datasets.pose_check import check_poses
+from gsrain_engine.datasets.pose_fit import Matches
 from gsrain_engine.scene.camera import Camera, look_at
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -137,7 +137,7 @@ def made_up() -> tuple[Matches, tuple[np.ndarray, np.ndarray]]:
 
 def test_true_points_lie_on_their_epipolar_lines_and_in_front() -> None:
     found, poses = made_up()
-    fit = epipolar_fit.fit(found, poses)
+    fit = pose_fit.fit_epipolar(found, poses)
     assert fit.median_px < 1e-9
     assert fit.explained == 1.0
 
@@ -145,7 +145,7 @@ def test_true_points_lie_on_their_epipolar_lines_and_in_front() -> None:
 def test_a_known_error_is_measured() -> None:
     found, poses = made_up()
     moved = replace(found, second=found.second + [0.0, 1.5])
-    fit = epipolar_fit.fit(moved, poses)
+    fit = pose_fit.fit_epipolar(moved, poses)
     assert 0.5 < fit.median_px < 1.6
 
 
@@ -153,14 +153,14 @@ def test_backward_motion_is_behind_the_cameras_though_its_lines_fit() -> None:
     found, (first, second) = made_up()
     relative = second @ np.linalg.inv(first)
     relative[:3, 3] *= -1
-    fit = epipolar_fit.fit(found, (first, relative @ first))
+    fit = pose_fit.fit_epipolar(found, (first, relative @ first))
     assert fit.median_px < 1e-9
     assert fit.explained == 0.0
 
 
 def test_a_pure_turn_explains_nothing_by_lines() -> None:
     found, (first, _) = made_up()
-    assert epipolar_fit.fit(found, (first, first)).explained == 0.0
+    assert pose_fit.fit_epipolar(found, (first, first)).explained == 0.0
 
 
 def test_pictures_that_can_not_be_read_stop_nothing(rear: Capture) -> None:

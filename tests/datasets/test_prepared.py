@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import Lens, View
-from gsrain_engine.datasets.geometry.lens_projection import intrinsics, largest_tangent, project_points
-from gsrain_engine.datasets.prepared import prepared
-from gsrain_engine.datasets.rainsense.sequence import find_rain_sequences
+from gsrain_engine.datasets.geometry import intrinsics, largest_tangent, project_points
+from gsrain_engine.datasets.rainsense import find_rain_sequences
+from gsrain_engine.datasets.undistort import prepared
 from gsrain_engine.scene.camera import Camera
 
 CAMERA = Camera(200, 120, 110.0, 112.0, 103.0, 57.5)

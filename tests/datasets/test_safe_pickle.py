@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.datasets.files.safe_pickle import read_pickle
+from gsrain_engine.datasets.io.safe_pickle import read_pickle
 
 
 class _Asks:

@@ -9,11 +9,10 @@ import pytest
 from PIL import Image
 
 from colmap_files import write_binary, write_pictures
-from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.datasets.geometry.lens_projection import project_points
+from gsrain_engine.datasets.capture import CaptureError, readable_pictures
+from gsrain_engine.datasets.geometry import project_points
 from gsrain_engine.datasets.open_capture import FORMATS, capture_format, open_capture
-from gsrain_engine.datasets.rainsense.sequence import read_rain_sequence
-from gsrain_engine.datasets.readable_pictures import readable_pictures
+from gsrain_engine.datasets.rainsense import read_rain_sequence
 
 
 def test_a_plain_folder_is_for_transfer_and_says_so(tmp_path: Path) -> None:
@@ -179,7 +178,7 @@ def test_a_folder_that_may_not_be_looked_into_is_no_capture(tmp_path: Path, monk
     def refuse(_: Path) -> list[Path]:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("gsrain_engine.datasets.image_folder.pictures_in", refuse)
+    monkeypatch.setattr("gsrain_engine.datasets.capture_folder.pictures_in", refuse)
     with pytest.raises(CaptureError, match="not a capture that is known"):
         open_capture(tmp_path)
 

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.files.picture_file import read_color
+from gsrain_engine.datasets.io.images import read_color
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.datasets.pixels.sky_pixels import sure_sky
+from gsrain_engine.datasets.sky_masks import sure_sky
 
 HEIGHT, WIDTH, HORIZON = 180, 320, 90
 BLUE, CLOUD, WHITE, GRAY, WARM = (90, 140, 220), (235, 236, 240), (255, 255, 255), (150, 155, 165), (225, 200, 150)

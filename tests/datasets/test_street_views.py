@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import View
-from gsrain_engine.datasets.street.views import StreetViews, capture_street, street_meshes
-from gsrain_engine.render.context import open_context
-from gsrain_engine.render.splat_renderer import SplatRenderer
+from gsrain_engine.datasets.street import StreetViews, capture_street, street_meshes
+from gsrain_engine.render.opengl.context import open_context
+from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.street.build import StreetSurfaces, scene_of, street_surfaces
-from gsrain_engine.scene.street.labels import Label
-from gsrain_engine.scene.street.parameters import StreetParameters
+from gsrain_engine.scene.street.layout import Label, StreetParameters
 
 UP = np.array([0.0, 0.0, 1.0])
 SMALL = StreetParameters(length_m=120.0, parked_share=0.3, tree_spacing_m=30.0)

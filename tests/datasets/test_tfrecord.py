@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.datasets.files.tfrecord import masked_crc32c, records_in
+from gsrain_engine.datasets.io.records import masked_crc32c, records_in
 from tfrecord_framing import framed
 
 

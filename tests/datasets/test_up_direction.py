@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.geometry.up_direction import up_of_cameras
+from gsrain_engine.datasets.geometry import up_of_cameras
 from gsrain_engine.scene.camera import Camera, look_at
 
 TURN = np.linalg.qr(np.random.default_rng(8).normal(size=(3, 3)))[0]

@@ -7,15 +7,14 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, CaptureError
-from gsrain_engine.datasets.geometry.lens_projection import project_points
+from gsrain_engine.datasets.geometry import project_points
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from mini_drive import BOX_LWH, FOCAL, HEIGHT, WIDTH, MiniDrive, points_inside, turned
 from tfrecord_framing import framed
 from waymo_lidar import BEAMS, LIDAR_TO_VEHICLE, pixel_poses, range_image
 
 pytest.importorskip("google.protobuf")
-from gsrain_engine.datasets.waymo.messages import new_message
-from gsrain_engine.datasets.waymo.range_image import WaymoLaser
+from gsrain_engine.datasets.waymo import WaymoLaser, new_message
 
 OWN_AXES = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 """Waymo's camera axes (x forward, y left, z up) to OpenCV's."""
@@ -189,7 +188,7 @@ def test_frames_before_a_cut_are_used(tmp_path: Path) -> None:
 
 
 def test_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from gsrain_engine.datasets.waymo import messages as waymo_messages
+    from gsrain_engine.datasets import waymo as waymo_messages
 
     write_frames(tmp_path / "some.tfrecord", MiniDrive())
 

@@ -7,7 +7,7 @@ import pytest
 
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, CaptureError
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
-from gsrain_engine.datasets.waymo.tables import vehicle_poses
+from gsrain_engine.datasets.waymo_v2 import vehicle_poses
 from mini_drive import BOX_LWH, FOCAL, HEIGHT, WIDTH, MiniDrive, points_inside
 from waymo_lidar import BEAMS, LIDAR_TO_VEHICLE, pixel_poses, range_image
 
@@ -195,7 +195,7 @@ def test_names_the_file_that_can_not_be_read(tmp_path: Path) -> None:
 
 
 def test_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from gsrain_engine.datasets.files import parquet_file
+    from gsrain_engine.datasets.io import records as parquet_file
 
     write_segment(tmp_path, segment_tables(MiniDrive()))
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.angles import wrapped, wrapped_deg
+from gsrain_engine.simulation.geometry import wrapped, wrapped_deg
 
 
 @pytest.mark.parametrize("turns", [-3, -1, 0, 1, 2])

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
+from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
 
 SHAPE = (160, 200)
 SKY = 220.0

@@ -4,8 +4,8 @@ import itertools
 
 import numpy as np
 
-from gsrain_engine.evaluate.lpips import geometry
-from gsrain_engine.evaluate.lpips_weights import CHANNELS, TAPS, LpipsWeights, Network
+from gsrain_engine.evaluation.lpips import geometry
+from gsrain_engine.evaluation.lpips_weights import CHANNELS, TAPS, LpipsWeights, Network
 
 
 def random_weights(network: Network, seed: int = 0, divisor: int = 1) -> LpipsWeights:

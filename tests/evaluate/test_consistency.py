@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
+from app.main import BAD_INPUT, run
 from appearance.matching.street_views import street_views
-from gsrain_engine.appearance.transfer import RainyView
-from gsrain_engine.appearance.transferred_folder import TransferRecord, write_transferred
-from gsrain_engine.evaluate.consistency.pairs import agreements, warped_pair
-from gsrain_engine.evaluate.consistency.warp_error import Agreement, WarpError, pooled, warp_error
+from gsrain_engine.appearance.base import RainyView
+from gsrain_engine.appearance.output_folder import TransferRecord, write_transferred
+from gsrain_engine.evaluation.consistency import Agreement, WarpError, agreements, pooled, warp_error, warped_pair
 
 PAIRS = [(0, 1), (1, 0), (2, 1), (3, 1)]
 

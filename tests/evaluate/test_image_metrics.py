@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluate.image_metrics import check_pair, psnr, ssim, ssim_map, window
+from gsrain_engine.evaluation.image_metrics import check_pair, psnr, ssim, ssim_map, window
 
 
 def _pictures(height: int = 24, width: int = 31) -> tuple[np.ndarray, np.ndarray]:

@@ -10,14 +10,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.evaluate.lpips import Lpips  # noqa: E402
-from gsrain_engine.evaluate.lpips_weights import (  # noqa: E402
-    CHANNELS,
-    PLACE,
-    LpipsWeights,
-    find_lpips_weights,
-    read_lpips_weights,
-)
+from gsrain_engine.evaluation.lpips import Lpips  # noqa: E402
+from gsrain_engine.evaluation.lpips_weights import CHANNELS, PLACE, LpipsWeights, find_lpips_weights, read_lpips_weights  # noqa: E402
 
 from .random_lpips import random_weights  # noqa: E402
 

@@ -7,9 +7,11 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.evaluate.lpips import Lpips  # noqa: E402
-from gsrain_engine.evaluate.lpips_loss import lpips_loss  # noqa: E402
-from gsrain_engine.evaluate.lpips_weights import PLACE  # noqa: E402
+from gsrain_engine.evaluation.lpips import (  # noqa: E402
+    Lpips,
+    lpips_loss,
+)
+from gsrain_engine.evaluation.lpips_weights import PLACE  # noqa: E402
 
 from .random_lpips import random_weights  # noqa: E402
 

@@ -9,12 +9,24 @@ import cv2
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluate.report.charts import chart, number, ticks
-from gsrain_engine.evaluate.report.comparison import WIDEST_PX, Comparison
-from gsrain_engine.evaluate.report.page import MOST_PICTURES, report_page
-from gsrain_engine.evaluate.report.pictures import LARGEST_ERROR, error_picture
-from gsrain_engine.evaluate.report.report_file import write_report
-from gsrain_engine.evaluate.report.run_report import Curve, Figure, ReportTable, RunReport
+from gsrain_engine.evaluation.report import (
+    MOST_PICTURES,
+    Curve,
+    ReportFigure,
+    ReportTable,
+    RunReport,
+    report_page,
+    write_report,
+)
+from gsrain_engine.evaluation.report_charts import (
+    LARGEST_ERROR,
+    WIDEST_PX,
+    Comparison,
+    chart,
+    error_picture,
+    number,
+    ticks,
+)
 
 _VOID = {"meta", "img", "input", "link", "br"}
 
@@ -188,7 +200,7 @@ def test_tables_and_figures_of_any_kind_stand_first_and_are_escaped():
     red[..., 0] = 255
     rows = (("a & b", 3, 0.51234), ("c", 4, None))
     table = ReportTable("Scores <1>", ("who", "objects", "score"), rows, 2, definitions=("score: < 1", "who: & co."))
-    report = RunReport("a run", {}, figures=(Figure("Curve", red, "why"),), tables=(table,), machine={})
+    report = RunReport("a run", {}, figures=(ReportFigure("Curve", red, "why"),), tables=(table,), machine={})
     page = report_page(report)
     source = page.split('src="data:image/png;base64,')[1].split('"')[0]
     picture = cv2.imdecode(np.frombuffer(base64.b64decode(source), np.uint8), cv2.IMREAD_COLOR)

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluate.mean_interval import mean_interval
-from gsrain_engine.evaluate.share_interval import share_interval
+from gsrain_engine.evaluation.image_metrics import mean_interval, share_interval
 
 
 def test_values_of_the_literature():

@@ -5,14 +5,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.rainsense.sequence import RainSequence
-from gsrain_engine.evaluate.rain_over_picture import cropped, rain_frames
-from gsrain_engine.evaluate.real_rain import evenly_chosen
-from gsrain_engine.evaluate.residuals import RESTLESS_LEVELS, residual_statistics, residuals
-from gsrain_engine.evaluate.streak_statistics import BANDS, streak_statistics
-from gsrain_engine.evaluate.streaks import FALL_BY_DIAMETER_S, StreakTable, coverage, find_streaks
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall
+from gsrain_engine.datasets.rainsense import RainSequence
+from gsrain_engine.evaluation.real_rain import evenly_chosen
+from gsrain_engine.evaluation.streaks import (
+    BANDS,
+    FALL_BY_DIAMETER_S,
+    RESTLESS_LEVELS,
+    StreakTable,
+    coverage,
+    cropped,
+    find_streaks,
+    rain_frames,
+    residual_statistics,
+    residuals,
+    streak_statistics,
+)
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.simulation import Rainfall
 from gsrain_engine.scene.camera import Camera, look_at
 
 from .drawn_streaks import SHAPE, SKY, box, frames

@@ -12,8 +12,8 @@ from PIL import Image
 from colmap_files import write_binary, write_pictures, write_text
 from gsrain_engine.datasets.capture import Capture, CaptureError, View
 from gsrain_engine.datasets.capture_folder import write_views, write_world
-from gsrain_engine.datasets.capture_summary import summarized
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
+from gsrain_engine.datasets.summary import summarized
 from gsrain_engine.scene.camera import Camera
 from mini_drive import FOCAL, HEIGHT, WIDTH, MiniDrive
 from tests.datasets.test_dgp import write_dgp

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.rain.disdrometer.files import read_disdrometer
-from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
-from gsrain_engine.rain.disdrometer.reading import DisdrometerFileError, Reading
-from gsrain_engine.rain.disdrometer.tables import TableColumns, load_columns
-from gsrain_engine.rain.fitting.measured_file import open_measured
-from gsrain_engine.rain.measured_weather import from_spectra
+from gsrain_engine.disdrometer.file_summary import open_measured
+from gsrain_engine.disdrometer.netcdf import write_spectra
+from gsrain_engine.disdrometer.open import read_disdrometer
+from gsrain_engine.disdrometer.rain_rates import from_spectra
+from gsrain_engine.disdrometer.spectra import DisdrometerFileError, Reading
+from gsrain_engine.disdrometer.tables import TableColumns, load_columns
 from parsivel_text import DRY, locarno_line, rain, station_line, velocity_major
 from tests.rain.disdrometer.test_files import telegram, thies_line
 from tests.rain.disdrometer.test_netcdf_files import (

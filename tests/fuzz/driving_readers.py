@@ -9,17 +9,14 @@ from typing import Any
 import numpy as np
 import yaml
 
-from gsrain_engine.drive.agents.client_error import ClientError
-from gsrain_engine.drive.agents.http_agent import read_plan
-from gsrain_engine.drive.hugsim.reply import read_reply
-from gsrain_engine.drive.metrics.summary import measured
-from gsrain_engine.drive.rollouts.files import read_any_rollout
-from gsrain_engine.drive.rollouts.json_lines import write_rollout
-from gsrain_engine.drive.rollouts.parquet import write_rollout_parquet
-from gsrain_engine.drive.scenario.openscenario.export import write_openscenario
-from gsrain_engine.drive.scenario.scenario_files import load_scenario
-from gsrain_engine.drive.sweeps.row import columns_of, parquet, rows_in
-from gsrain_engine.drive.sweeps.sweep import load_sweep
+from gsrain_engine.simulation.agents.http import ClientError, read_plan
+from gsrain_engine.simulation.interop.hugsim_protocol import read_reply
+from gsrain_engine.simulation.interop.openscenario_write import write_openscenario
+from gsrain_engine.simulation.metrics.summary import measured
+from gsrain_engine.simulation.rollout_io import read_any_rollout, write_rollout, write_rollout_parquet
+from gsrain_engine.simulation.scenario_io import load_scenario
+from gsrain_engine.sweep.results import columns_of, parquet, rows_in
+from gsrain_engine.sweep.settings import load_sweep
 from small_rollout import approach
 from small_scene import small_scene
 from tests.drive.hugsim.test_reply import tensor_pickle

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from gsrain_engine.evaluate.detection.detector import open_detector
-from gsrain_engine.evaluate.weight_file import read_arrays, write_arrays
-from gsrain_engine.reconstruct.recoloring.recolored_file import read_recolored, write_recolored
-from gsrain_engine.reconstruct.training.checkpoints import Checkpoint, read_checkpoint, write_checkpoint
-from gsrain_engine.reconstruct.training.settings import TrainingSettings
-from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.evaluation.detection.detector import open_detector
+from gsrain_engine.evaluation.lpips_weights import read_arrays, write_arrays
+from gsrain_engine.recolor.result import read_recolored, write_recolored
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.training.model import Checkpoint, read_checkpoint, write_checkpoint
+from gsrain_engine.training.settings import TrainingSettings
 from tests.evaluate.detection.tiny_onnx import NAMES, write_red_finder
 
 from .containers import inside_zip

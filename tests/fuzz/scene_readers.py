@@ -11,17 +11,15 @@ from typing import Any
 import numpy as np
 
 from gsrain_engine.scene.camera import Camera, read_camera
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.scene.formats.gaussian_files import read_gaussians, write_gaussians
+from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.camera_path_io import plain_camera_path, read_camera_path
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.formats.registry import read_gaussians, write_gaussians
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.formats.spz import encode_spz
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.paths.camera_path import CameraPath
-from gsrain_engine.scene.paths.files import plain_camera_path, read_camera_path
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Scene, Track
 from tests.scene.formats.sample_gaussians import sample_gaussians
 from tests.scene.formats.test_compressed_ply import BOUNDS, compressed
 from tests.scene.formats.test_ksplat import encode, some_gaussians

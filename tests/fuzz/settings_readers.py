@@ -10,22 +10,22 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from app.commands.evaluate.lidar import _sensor as read_sensor
-from gsrain_engine.appearance.finetuning.settings_file import load_finetuning
-from gsrain_engine.appearance.transfer_record import TRANSFER, TransferRecord, read_record, write_record
+from app.evaluate.lidar import _sensor as read_sensor
+from gsrain_engine.appearance.finetune.settings import load_finetuning
+from gsrain_engine.appearance.output_folder import TRANSFER, TransferRecord, read_record, write_record
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.evaluate.comparison.settings import load_comparison
-from gsrain_engine.evaluate.detection.coco_file import read_coco
-from gsrain_engine.evaluate.detection.description import load_description
-from gsrain_engine.evaluate.lidar.sensor import SENSORS
+from gsrain_engine.editor.autosave import Autosave
+from gsrain_engine.editor.files import recent_files
+from gsrain_engine.editor.preferences import load_preferences
+from gsrain_engine.evaluation.compare_results import load_comparison
+from gsrain_engine.evaluation.detection.description import load_description
+from gsrain_engine.evaluation.detection.ground_truth import read_coco
+from gsrain_engine.evaluation.lidar.sensor import SENSORS
+from gsrain_engine.presets import shipped_names
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.rain.rain_state import rain_state
-from gsrain_engine.reconstruct.training.settings import load_settings
-from gsrain_engine.session.files.autosave import Autosave
-from gsrain_engine.session.files.recent_files import recent_files
-from gsrain_engine.session.preferences.preferences import load_preferences
-from gsrain_engine.shipped_configs import shipped_names
+from gsrain_engine.rain.properties import rain_state
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.training.settings import load_settings
 
 from .json_mutations import damaged_json
 from .reader import Reader
@@ -67,7 +67,7 @@ def _settings(
 
 def _calibrated(calibration: Any) -> None:
     """Look at the rain that a calibration makes: numbers as they may be, and none that warns."""
-    from gsrain_engine.rain.rain import Rain
+    from gsrain_engine.rain.settings import Rain
 
     for intensity in (0.0, 0.5, 8.5, 100.0):
         with np.errstate(all="ignore"):

@@ -18,15 +18,13 @@ import zstandard
 from PIL import Image
 
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.datasets.files.array_file import read_floats
-from gsrain_engine.datasets.files.json_file import read_json
-from gsrain_engine.datasets.files.npz_file import read_npz
-from gsrain_engine.datasets.files.picture_file import picture_size, read_color, read_stored
-from gsrain_engine.datasets.files.safe_pickle import read_pickle
+from gsrain_engine.datasets.io.arrays import read_floats, read_json, read_npz
+from gsrain_engine.datasets.io.images import picture_size, read_color, read_stored
+from gsrain_engine.datasets.io.safe_pickle import read_pickle
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.formats import read_scene
-from gsrain_engine.scene.paths.files import read_camera_path
+from gsrain_engine.scene.camera_path_io import read_camera_path
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.formats.scene_files import read_scene
 from tests.scene.formats.test_sog import scene as sog_scene
 from tests.scene.formats.test_sog import webp
 

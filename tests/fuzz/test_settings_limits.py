@@ -12,20 +12,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.command_line import run
-from gsrain_engine.drive.agents.client_error import ClientError
-from gsrain_engine.drive.hugsim.reply import read_reply
-from gsrain_engine.drive.rollouts.files import read_any_rollout
-from gsrain_engine.drive.rollouts.parquet import read_rollout_parquet
-from gsrain_engine.drive.scenario.scenario_files import load_scenario
-from gsrain_engine.evaluate.detection.detector import open_detector
-from gsrain_engine.evaluate.weight_file import read_arrays
+from app.main import run
+from gsrain_engine.disdrometer.hdf5_trial import passes_trial
+from gsrain_engine.disdrometer.open import read_disdrometer
+from gsrain_engine.disdrometer.spectra import DisdrometerFileError
+from gsrain_engine.evaluation.detection.detector import open_detector
+from gsrain_engine.evaluation.lpips_weights import read_arrays
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, read_disdrometer
-from gsrain_engine.rain.disdrometer.hdf5_trial import passes_trial
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.untrusted.array_archives import read_archive
-from gsrain_engine.untrusted.plain_values import check_finite, json_values, yaml_values
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.safe_io.numpy_files import read_archive
+from gsrain_engine.safe_io.text_files import check_finite, json_values, yaml_values
+from gsrain_engine.simulation.agents.http import ClientError
+from gsrain_engine.simulation.interop.hugsim_protocol import read_reply
+from gsrain_engine.simulation.rollout_io import read_any_rollout, read_rollout_parquet
+from gsrain_engine.simulation.scenario_io import load_scenario
 from tests.evaluate.detection.tiny_onnx import NAMES, rows, write_constant
 
 from .reader import limited_memory, limited_time
@@ -246,7 +246,7 @@ def test_detectors_whose_numbers_lie_outside_their_folder(place: str, tmp_path: 
 
 
 def test_a_library_that_does_not_come_to_its_end_is_left(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    from gsrain_engine.rain.disdrometer import hdf5_trial
+    from gsrain_engine.disdrometer import hdf5_trial
 
     endless = tmp_path / "endless.py"
     endless.write_text("while True: pass")

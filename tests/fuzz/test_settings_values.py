@@ -9,17 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import inspect
 
-from gsrain_engine.appearance.finetuning.settings import FinetuningSettings
-from gsrain_engine.drive.scenario.scenario import Scenario
-from gsrain_engine.drive.sweeps.sweep import DriveSweep, RenderSweep
-from gsrain_engine.evaluate.detection.description import DetectorDescription
-from gsrain_engine.evaluate.lidar.sensor import LidarSensor
+from gsrain_engine.appearance.finetune.settings import FinetuningSettings
+from gsrain_engine.editor.preferences import Preferences
+from gsrain_engine.evaluation.detection.description import DetectorDescription
+from gsrain_engine.evaluation.lidar.sensor import LidarSensor
 from gsrain_engine.rain.calibration import Calibration
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.weather import Weather
-from gsrain_engine.reconstruct.training.settings import TrainingSettings
-from gsrain_engine.session.preferences.preferences import Preferences
-from gsrain_engine.untrusted.explained_errors import converted
+from gsrain_engine.rain.keyframes import Weather
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.safe_io.errors import converted
+from gsrain_engine.simulation.scenario import Scenario
+from gsrain_engine.sweep.settings import DriveSweep, RenderSweep
+from gsrain_engine.training.settings import TrainingSettings
 
 from .settings_readers import assert_finite
 

@@ -47,7 +47,7 @@ def _into_a_model() -> Callable[[Path], None]:
 
 
 def _state(folder: Path) -> Path:
-    torch, files = import_module("torch"), import_module("gsrain_engine.appearance.finetuning.checkpoints")
+    torch, files = import_module("torch"), import_module("gsrain_engine.appearance.finetune.checkpoint")
     files.write_checkpoint(
         folder / "state.safetensors", files.Checkpoint(3, 1.5, {"a": torch.arange(4.0)}, False), _settings(), "two"
     )
@@ -55,11 +55,11 @@ def _state(folder: Path) -> Path:
 
 
 def _read_state(path: Path) -> None:
-    import_module("gsrain_engine.appearance.finetuning.checkpoints").read_checkpoint(path, _settings(), "two", False)
+    import_module("gsrain_engine.appearance.finetune.checkpoint").read_checkpoint(path, _settings(), "two", False)
 
 
 def _settings() -> Any:
-    return import_module("gsrain_engine.appearance.finetuning.settings_file").load_finetuning("tiny")
+    return import_module("gsrain_engine.appearance.finetune.settings").load_finetuning("tiny")
 
 
 _BYTES, _ZIP = (("*", damaged_bytes),), (("*", inside_zip(lambda _: damaged_bytes)),)

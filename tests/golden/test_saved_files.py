@@ -9,31 +9,28 @@ import numpy as np
 import pytest
 import yaml
 
-from gsrain_engine.appearance.finetuning.settings_file import load_finetuning
-from gsrain_engine.drive.rollouts.json_lines import read_rollout
-from gsrain_engine.drive.scenario.scenario_files import load_scenario
-from gsrain_engine.drive.sweeps.expansion import jobs_of
-from gsrain_engine.drive.sweeps.program import program_version
-from gsrain_engine.drive.sweeps.row import rows_in
-from gsrain_engine.drive.sweeps.sweep import load_sweep
-from gsrain_engine.drive.sweeps.sweep_folder import SweepFolder
-from gsrain_engine.evaluate.comparison.settings import load_comparison
-from gsrain_engine.evaluate.detection.description import load_description
-from gsrain_engine.evaluate.lidar.sensor import LidarSensor
+from gsrain_engine.appearance.finetune.settings import load_finetuning
+from gsrain_engine.disdrometer.tables import load_columns
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.files import recent_files
+from gsrain_engine.editor.preferences import load_preferences
+from gsrain_engine.evaluation.compare_results import load_comparison
+from gsrain_engine.evaluation.detection.description import load_description
+from gsrain_engine.evaluation.lidar.sensor import LidarSensor
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.disdrometer.tables import load_columns
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.saved_rain import rain_of, weather_of
-from gsrain_engine.reconstruct.training.settings import load_settings
-from gsrain_engine.scene.formats import read_scene
-from gsrain_engine.session.files.recent_files import recent_files
-from gsrain_engine.session.preferences.preferences import load_preferences
-from gsrain_engine.session.session import Session
-from gsrain_engine.untrusted.explained_errors import converted
-from gsrain_engine.untrusted.plain_values import yaml_values
+from gsrain_engine.rain.keyframes import rain_of, weather_of
+from gsrain_engine.rain.settings import Rain, load_preset
+from gsrain_engine.safe_io.errors import converted
+from gsrain_engine.safe_io.text_files import yaml_values
+from gsrain_engine.scene.formats.scene_files import read_scene
+from gsrain_engine.simulation.rollout_io import read_rollout
+from gsrain_engine.simulation.scenario_io import load_scenario
+from gsrain_engine.sweep.expansion import jobs_of, program_version
+from gsrain_engine.sweep.results import SweepFolder, rows_in
+from gsrain_engine.sweep.settings import load_sweep
+from gsrain_engine.training.settings import load_settings
 from session.files.open_document import settle
-from ui.panels.table import all_panels
+from ui.panels.registry import all_panels
 
 SAVED = Path(__file__).parent / "saved"
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from app.command_line import run
+from app.main import run
 
 from .cases import CROSSING, stills
 from .digests import pixels_of

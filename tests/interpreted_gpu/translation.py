@@ -5,8 +5,8 @@ import re
 from dataclasses import dataclass
 from functools import lru_cache
 
-from gsrain_engine.render import shaders
-from gsrain_engine.shipped_configs import shipped_folder
+from gsrain_engine.presets import shipped_folder
+from gsrain_engine.render.opengl import shaders
 
 from .values import (
     ALL,

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool
 
-from gsrain_engine.evaluate.distribution.kernel_distance import Features, weighted_distances
+from gsrain_engine.evaluation.fid import Features, weighted_distances
 
 
 def kernel_distance(real: Features, fake: Features, shared: Bool[np.ndarray, "_ _"] | None = None) -> float:

@@ -6,11 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
-from gsrain_engine.raster.tint import TINT, TINT_SHARE
+from gsrain_engine.render.cpu.projection import TINT, TINT_SHARE
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.members import Part
-from gsrain_engine.scene.rotations import matrices_from_quaternions
-from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
+from gsrain_engine.scene.geometry import linear_to_srgb, matrices_from_quaternions, srgb_to_linear
+from gsrain_engine.scene.scene import Part
 
 NEAR_M, DILATION_PX2, MAX_ALPHA, MIN_TRANSMITTANCE = 0.2, 0.3, 0.999, 1e-4
 SCENE_ALPHA_CUT, RAIN_ALPHA_CUT = 1 / 255, 1 / 65536

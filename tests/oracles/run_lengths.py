@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool
 
-from gsrain_engine.render.objects.run_lengths import RunLengths
+from gsrain_engine.render.label_export import RunLengths
 
 _FIRST = 48
 

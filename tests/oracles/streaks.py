@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.settings import Rain
 from gsrain_engine.rain.streaks import (
     AXIS_RATIO_OFFSET,
     AXIS_RATIO_SLOPE,

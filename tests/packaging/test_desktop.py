@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from app.window_icon import SIZES_PX, read_icon
-from gsrain_engine.scene.formats.gaussian_files import FORMATS
+from gsrain_engine.scene.formats.registry import FORMATS
+from ui.window import SIZES_PX, read_icon
 
 PACKAGING = Path(__file__).resolve().parents[2] / "packaging"
 

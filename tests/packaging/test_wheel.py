@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gsrain_engine.shipped_configs import shipped_folder, shipped_names
+from gsrain_engine.presets import shipped_folder, shipped_names
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGES = ("app", "ui", "gsrain", "gsrain_engine")
@@ -45,9 +45,7 @@ def test_data_is_found_in_a_checkout_and_where_it_is_installed(tmp_path, monkeyp
     assert "published" in shipped_names("calibrations")
     (tmp_path / "gsrain_engine" / "sample_configs" / "calibrations").mkdir(parents=True)
     (tmp_path / "gsrain_engine" / "sample_configs" / "calibrations" / "own.yaml").touch()
-    monkeypatch.setattr(
-        "gsrain_engine.shipped_configs.__file__", str(tmp_path / "gsrain_engine" / "shipped_configs.py")
-    )
+    monkeypatch.setattr("gsrain_engine.presets.__file__", str(tmp_path / "gsrain_engine" / "shipped_configs.py"))
     assert shipped_names("calibrations") == ["own"]
 
 

@@ -10,11 +10,11 @@ import pytest
 from PIL import Image
 
 import gsrain as gr
-from app.command_line import run
-from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
-from gsrain_engine.rain.rainfall import Rainfall
-from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
-from gsrain_engine.scene.srgb import linear_to_srgb
+from app.main import run
+from gsrain_engine.disdrometer.netcdf import write_spectra
+from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
+from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.scene.geometry import linear_to_srgb
 from small_scene import small_scene
 
 SIZE = (96, 64)

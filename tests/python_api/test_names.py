@@ -11,7 +11,7 @@ from PIL import Image
 
 import gsrain as gr
 from extension_package import titled_blocks
-from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.formats.scene_files import write_scene
 from repository import REPOSITORY
 from small_scene import small_scene
 

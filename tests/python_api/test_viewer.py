@@ -13,7 +13,7 @@ from PIL import Image
 import gsrain as gr
 from extension_package import titled_blocks
 from gsrain.viewer_messages import GetState, Reply, Request, SetRain, receive, send
-from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.formats.scene_files import write_scene
 from repository import REPOSITORY
 from small_scene import small_scene
 

@@ -1,7 +1,7 @@
 import numpy as np
 
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.calibration_curves import calibration_curves, spectrum_at
+from gsrain_engine.rain.properties import calibration_curves, spectrum_at
 
 
 def test_curves_run_through_the_rows_and_spectra_add_up():

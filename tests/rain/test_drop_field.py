@@ -10,10 +10,11 @@ from gsrain_engine.rain.drop_field import (
     find_drops,
     offsets,
     offsets_of,
+    pcg4d,
+    pcg4d_scalar,
 )
 from gsrain_engine.rain.drop_motion import DropMotion, Wind
-from gsrain_engine.rain.drop_sizes import CLASSES
-from gsrain_engine.rain.random_bits import pcg4d, pcg4d_scalar
+from gsrain_engine.rain.properties import CLASSES
 
 PERIOD = np.array([8.0, 8.0, 6.0])
 FALL = np.linspace(1.0, 8.0, CLASSES)  # m/s by class

@@ -17,10 +17,9 @@ from gsrain_engine.rain.drop_field import (
     find_drops,
     offsets,
 )
-from gsrain_engine.rain.drop_sizes import CLASSES, LARGEST_MM, SMALLEST_MM
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rain_state import fall_speed
-from gsrain_engine.rain.rainfall import Rainfall, View
+from gsrain_engine.rain.properties import CLASSES, LARGEST_MM, SMALLEST_MM, fall_speed
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.simulation import Rainfall, View
 from gsrain_engine.scene.camera import Camera, look_at
 
 SPEED, YAW_RATE, CLIMB, WIND = 12.0, 0.25, 0.3, (2.0, -1.5)

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy import special, stats
 
 from gsrain_engine.rain.calibration import VelocityFit, atlas_velocity
-from gsrain_engine.rain.drop_sizes import CLASSES, DropSizes
+from gsrain_engine.rain.properties import CLASSES, DropSizes
 
 laws = st.builds(DropSizes, st.floats(1, 30), st.floats(0.02, 0.5))
 

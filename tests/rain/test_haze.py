@@ -3,8 +3,8 @@ import pytest
 
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.haze import LIFETIME_S, RAMP_M, make_haze
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rain_state import rain_state
+from gsrain_engine.rain.properties import rain_state
+from gsrain_engine.rain.settings import Rain
 
 ANCHOR = np.eye(4)
 FAR_AWAY = np.array([-1000.0, 0, 0])

@@ -7,15 +7,14 @@ import pytest
 
 from given_rain import given_rain
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall, View
-from gsrain_engine.rain.streaks import Shutter
-from gsrain_engine.rain.visible_streaks import make_visible_streaks
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.simulation import Rainfall, View
+from gsrain_engine.rain.streaks import Shutter, make_visible_streaks
+from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.members import Part
-from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
+from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
+from gsrain_engine.scene.scene import Part
 
 FOCAL = 1000.0
 UP, AHEAD = np.array([0.0, 0, 1]), np.array([1.0, 0, 0])

@@ -5,9 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsrain_engine.rain.calibration import calibration_names, load_calibration
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rain_state import fall_speed, flux_mm_h, intensity_of, rain_state
+from gsrain_engine.rain.properties import fall_speed, flux_mm_h, intensity_of, rain_state
+from gsrain_engine.rain.settings import Rain, load_preset
 
 PUBLISHED = load_calibration("published")
 

@@ -2,9 +2,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall, View, mean_sky
+from gsrain_engine.rain.settings import Rain, load_preset
+from gsrain_engine.rain.simulation import Rainfall, View, mean_sky
 from gsrain_engine.scene.camera import Camera, look_at
 
 UP = np.array([0.0, 0, 1])

@@ -5,18 +5,15 @@ import numpy as np
 import pytest
 
 from gsrain_engine.rain.drop_field import drops_at
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall, View
-from gsrain_engine.rain.roofs import CELL_M, Roofs, find_roofs, roofs_of
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.render.scene_view import Shot, rain_in
+from gsrain_engine.rain.settings import Rain, load_preset
+from gsrain_engine.rain.shelter_map import CELL_M, Roofs, find_roofs, roofs_of
+from gsrain_engine.rain.simulation import Rainfall, View
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.draw import Shot, rain_in
 from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.flags import Marks, Mask
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.members import Layer, Part
-from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.scene import Layer, Part, Scene
 
 UP = np.array([0.0, 0, 1])
 SKY = (0.8, 0.8, 0.8)

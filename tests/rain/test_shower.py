@@ -4,13 +4,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.class_table import ClassTable
+from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
 from gsrain_engine.rain.drop_field import drops_at
-from gsrain_engine.rain.rain import Box, Rain
-from gsrain_engine.rain.rain_state import rain_state
-from gsrain_engine.rain.rainfall import Rainfall, View
-from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
-from gsrain_engine.rain.weather import Weather, WeatherKey
+from gsrain_engine.rain.keyframes import Weather, WeatherKey
+from gsrain_engine.rain.properties import ClassTable, rain_state
+from gsrain_engine.rain.settings import Box, Rain
+from gsrain_engine.rain.simulation import Rainfall, View
 from gsrain_engine.scene.camera import Camera
 
 HERE = View(Camera.from_fov(64, 48, 60.0, np.eye(4)), np.eye(4), np.zeros(3))

@@ -5,11 +5,10 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.streaks import Shutter, circle_of_confusion_m
-from gsrain_engine.rain.visible_streaks import make_visible_streaks
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.streaks import Shutter, circle_of_confusion_m, make_visible_streaks
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.rotations import matrices_from_quaternions
+from gsrain_engine.scene.geometry import matrices_from_quaternions
 from oracles.streaks import axis_ratio, make_streaks
 
 F = 1000.0

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, read_disdrometer
-from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
+from gsrain_engine.disdrometer.file_summary import open_measured
+from gsrain_engine.disdrometer.fit import calibrate_files
+from gsrain_engine.disdrometer.fit_models import FitOptions
+from gsrain_engine.disdrometer.netcdf import write_spectra
+from gsrain_engine.disdrometer.open import read_disdrometer
+from gsrain_engine.disdrometer.spectra import DisdrometerFileError
+from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
 from gsrain_engine.rain.drop_field import drops_at
-from gsrain_engine.rain.fitting.calibrate_files import calibrate_files
-from gsrain_engine.rain.fitting.fit_options import FitOptions
-from gsrain_engine.rain.fitting.measured_file import open_measured
-from gsrain_engine.rain.rain import Box, Rain
-from gsrain_engine.rain.rainfall import Rainfall, View
-from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
+from gsrain_engine.rain.settings import Box, Rain
+from gsrain_engine.rain.simulation import Rainfall, View
 from gsrain_engine.scene.camera import Camera
 
 HERE = View(Camera.from_fov(8, 8, 45.0, np.eye(4)), np.eye(4), np.zeros(3))

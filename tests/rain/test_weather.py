@@ -8,11 +8,11 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from gsrain_engine.rain.disdrometer.files import read_disdrometer
-from gsrain_engine.rain.disdrometer.reading import Reading
-from gsrain_engine.rain.measured_weather import from_spectra
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.weather import Weather, WeatherKey, from_series, passing_shower
+from gsrain_engine.disdrometer.open import read_disdrometer
+from gsrain_engine.disdrometer.rain_rates import from_spectra
+from gsrain_engine.disdrometer.spectra import Reading
+from gsrain_engine.rain.keyframes import Weather, WeatherKey, from_series, passing_shower
+from gsrain_engine.rain.settings import Rain
 from measured_rain import measured_rain
 
 

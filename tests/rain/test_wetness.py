@@ -6,10 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall
-from gsrain_engine.rain.weather import Weather, WeatherKey, passing_shower
-from gsrain_engine.rain.weather_curve import WeatherCurve
+from gsrain_engine.rain.keyframes import Weather, WeatherCurve, WeatherKey, passing_shower
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.simulation import Rainfall
 from gsrain_engine.rain.wetness import WetnessCourse, water_depth_mm, wetness
 
 

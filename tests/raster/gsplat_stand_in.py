@@ -3,12 +3,12 @@
 import numpy as np
 import torch
 
-from gsrain_engine.raster.compositing import composite
-from gsrain_engine.raster.projection import project
-from gsrain_engine.raster.tiles import bin_into_tiles
+from gsrain_engine.render.cpu.compositing import composite
+from gsrain_engine.render.cpu.projection import project
+from gsrain_engine.render.cpu.tiles import bin_into_tiles
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.members import Part
+from gsrain_engine.scene.scene import Part
 
 
 def rasterization(

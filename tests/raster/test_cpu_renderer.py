@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from given_rain import GivenRain, given_rain
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.raster.rain_light import RAIN_LINES, add_rain_light
-from gsrain_engine.raster.tiles import TILE
-from gsrain_engine.render.frame import Frame
+from gsrain_engine.render.cpu.compositing import RAIN_LINES, add_rain_light
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.cpu.tiles import TILE
+from gsrain_engine.render.renderer import Frame
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.members import Part
-from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
+from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
+from gsrain_engine.scene.scene import Part
 from oracles.rasterizer import rasterize_in_linear_light_slowly, rasterize_slowly
 
 from .raster_scenes import random_gaussians, small_camera

@@ -7,21 +7,19 @@ import msgspec
 import numpy as np
 import pytest
 
-from app.command_line import BAD_INPUT, run
-from gsrain_engine.backends import open_renderer
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.rain.rainfall import OVERCAST, Rainfall
-from gsrain_engine.raster import cuda_backend
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.raster.cuda_backend import NoCudaError
-from gsrain_engine.raster.depth_slabs import SLABS, cut_into_slabs
-from gsrain_engine.raster.projection import project
+from app.main import BAD_INPUT, run
+from gsrain_engine import backends
+from gsrain_engine.backends import NoCudaError, open_renderer
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.rain.simulation import OVERCAST, Rainfall
+from gsrain_engine.render.cpu.projection import project
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.cuda.rain import SLABS, cut_into_slabs
+from gsrain_engine.render.draw import Shot, draw_shot
 from gsrain_engine.render.renderer import Renderer
-from gsrain_engine.render.scene_view import Shot, draw_shot
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.members import Layer, Part
-from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.scene import Layer, Part, Scene
 from raster.raster_scenes import random_gaussians, small_camera
 from raster.test_marked_parts import COLORS, some_of
 
@@ -33,7 +31,7 @@ UP = np.array([0.0, 0.0, 1.0])
 @pytest.fixture
 def cuda():
     pytest.importorskip("torch", reason="torch is not installed: pip install gsrain[jobs]")
-    from gsrain_engine.raster.cuda_renderer import CudaRenderer
+    from gsrain_engine.render.cuda.renderer import CudaRenderer
     from raster.gsplat_stand_in import rasterization
 
     return CudaRenderer(rasterization, "cpu")
@@ -199,7 +197,7 @@ def test_slabs_weigh_the_same():
 @pytest.mark.parametrize("missing", ["torch", "gsplat"])
 def test_what_is_missing_is_named(missing, monkeypatch):
     found = {"torch", "gsplat"} - {missing}
-    monkeypatch.setattr(cuda_backend.importlib.util, "find_spec", lambda name: object() if name in found else None)
+    monkeypatch.setattr(backends.importlib.util, "find_spec", lambda name: object() if name in found else None)
     with (
         pytest.raises(NoCudaError, match=f"needs {missing}, which is not installed: pip install"),
         open_renderer("cuda"),
@@ -208,7 +206,7 @@ def test_what_is_missing_is_named(missing, monkeypatch):
 
 
 def test_the_command_line_says_what_is_missing(monkeypatch, capsys):
-    monkeypatch.setattr(cuda_backend.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(backends.importlib.util, "find_spec", lambda name: None)
     command = ["bench", "render", "--scenes", "random-500", "--backends", "cuda"]
     assert run(command) == BAD_INPUT
     assert capsys.readouterr().err.startswith("gsrain: the cuda back end needs torch, which is not installed")

@@ -6,12 +6,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from given_rain import GivenRain, given_rain
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.raster.projection import NEAR_M, project
-from gsrain_engine.render.frame import Frame
-from gsrain_engine.render.look import Look
+from gsrain_engine.render.cpu.projection import NEAR_M, project
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.renderer import Frame, Look
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.members import Part
+from gsrain_engine.scene.scene import Part
 from oracles.rasterizer import rasterize_slowly
 
 from .raster_scenes import random_gaussians, small_camera

@@ -7,9 +7,9 @@ torch = pytest.importorskip("torch")
 from hypothesis import given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
-from gsrain_engine.raster.differentiable import render_gaussians  # noqa: E402
+from gsrain_engine.render.autodiff.differentiable import render_gaussians  # noqa: E402
 from gsrain_engine.scene.camera import Camera  # noqa: E402
-from gsrain_engine.scene.members import Part  # noqa: E402
+from gsrain_engine.scene.scene import Part  # noqa: E402
 from oracles.dense_gradients import render_densely  # noqa: E402
 from rasterized import rasterize  # noqa: E402
 

@@ -5,13 +5,12 @@ import numpy as np
 import pytest
 
 from given_rain import given_rain
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.render.frame import Frame
-from gsrain_engine.render.heat_colors import heat_colors, layer_color
-from gsrain_engine.render.look import FARTHEST_M, MOST_FRAGMENTS, NEAREST_M, Look
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.images import heat_colors, layer_color
+from gsrain_engine.render.renderer import FARTHEST_M, MOST_FRAGMENTS, NEAREST_M, Frame, Look
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.members import Part
+from gsrain_engine.scene.scene import Part
 from oracles.rasterizer import rasterize_slowly
 
 from .raster_scenes import random_gaussians, small_camera

@@ -6,17 +6,16 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from gsrain_engine.raster import projection, tint
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.raster.projection import FEW, project
-from gsrain_engine.raster.view_weights import view_weights
-from gsrain_engine.render.look import Look
+from gsrain_engine.editor.drawing.textures import compile_kernels
+from gsrain_engine.presets import shipped_folder
+from gsrain_engine.render.cpu import projection
+from gsrain_engine.render.cpu.compositing import view_weights
+from gsrain_engine.render.cpu.projection import FEW, project
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.renderer import Look
+from gsrain_engine.scene.flags import Mask
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.grading import Grading, graded
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.members import Part
-from gsrain_engine.session.picture.cpu_picture import compile_kernels
-from gsrain_engine.shipped_configs import shipped_folder
+from gsrain_engine.scene.scene import Grading, Part, graded
 from oracles.rasterizer import rasterize_slowly
 from rasterized import rasterize
 
@@ -102,7 +101,7 @@ def test_the_tint_is_half_of_what_is_selected_and_nothing_else(count):
     assert 0 < chosen.sum() < len(chosen)
     np.testing.assert_array_equal(marked.shapes, plain.shapes)
     np.testing.assert_array_equal(marked.colors[~chosen], plain.colors[~chosen])
-    expected = 0.5 * plain.colors[chosen, :3] + 0.5 * np.array(tint.TINT, np.float32)
+    expected = 0.5 * plain.colors[chosen, :3] + 0.5 * np.array(projection.TINT, np.float32)
     np.testing.assert_allclose(marked.colors[chosen, :3], expected, atol=1e-6)
 
 
@@ -139,8 +138,8 @@ def test_shader_and_kernels_have_the_same_tint():
     share = re.search(r"TINT_SHARE = ([\d.]+);", text)
     assert color is not None
     assert share is not None
-    assert tuple(map(float, color[1].split(","))) == tint.TINT
-    assert float(share[1]) == tint.TINT_SHARE
+    assert tuple(map(float, color[1].split(","))) == projection.TINT
+    assert float(share[1]) == projection.TINT_SHARE
 
 
 def test_all_kernels_are_compiled_ahead():

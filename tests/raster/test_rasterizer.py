@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.raster.projection import project
+from gsrain_engine.render.cpu.projection import project
 from gsrain_engine.scene.camera import Camera, look_at, read_camera
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.members import Part
+from gsrain_engine.scene.scene import Part
 from oracles.rasterizer import rasterize_slowly, sh_basis_slowly
 from rasterized import rasterize
 

@@ -2,9 +2,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.raster.projection import project
-from gsrain_engine.raster.tiles import TILE, bin_into_tiles
-from gsrain_engine.scene.members import Part
+from gsrain_engine.render.cpu.projection import project
+from gsrain_engine.render.cpu.tiles import TILE, bin_into_tiles
+from gsrain_engine.scene.scene import Part
 
 from .raster_scenes import random_gaussians, small_camera
 

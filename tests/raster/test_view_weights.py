@@ -2,11 +2,11 @@ import numba
 import numpy as np
 import pytest
 
-from gsrain_engine.raster.projection import view_directions
-from gsrain_engine.raster.spherical_harmonics import harmonics
-from gsrain_engine.raster.view_weights import view_weights
+from gsrain_engine.render.cpu.compositing import view_weights
+from gsrain_engine.render.cpu.fast_math import harmonics
+from gsrain_engine.render.cpu.projection import view_directions
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.members import Part
+from gsrain_engine.scene.scene import Part
 from oracles.rasterizer import rasterize_slowly, sh_basis_slowly
 from rasterized import rasterize
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.raster.projection import FEW, project
-from gsrain_engine.scene.members import Part
-from gsrain_engine.scene.wet_colors import blended_sh
+from gsrain_engine.render.cpu.projection import FEW, project
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.transforms import blended_sh
 from oracles.rasterizer import rasterize_slowly
 from rasterized import rasterize
 
@@ -29,7 +29,7 @@ def blended(part: Part) -> Part:
 
 def cuda_renderer():
     pytest.importorskip("torch", reason="torch is not installed: pip install gsrain[jobs]")
-    from gsrain_engine.raster.cuda_renderer import CudaRenderer
+    from gsrain_engine.render.cuda.renderer import CudaRenderer
     from raster.gsplat_stand_in import rasterization
 
     return CudaRenderer(rasterization, "cpu")

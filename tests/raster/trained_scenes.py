@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from gsrain_engine.raster.differentiable import render_gaussians
+from gsrain_engine.render.autodiff.differentiable import render_gaussians
 from gsrain_engine.scene.camera import Camera, look_at
 
 from .raster_scenes import random_gaussians, small_camera

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
-from gsrain_engine.reconstruct.recoloring.views import TargetView
+from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras
+from gsrain_engine.recolor.views import TargetView
 from gsrain_engine.scene.scene import Scene
 from rasterized import rasterize
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from gsrain_engine.datasets.capture import Capture, Sweep, TrackedBox, View
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Track
 
 WALL_X, WALL_HEIGHT, ROAD_Z = 30.0, 4.0, -1.5
 SKY = np.array([0.45, 0.62, 0.9])

@@ -3,9 +3,7 @@
 import numpy as np
 
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.members import Actor, Layer
-from gsrain_engine.scene.scene import RigCamera, Scene
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Actor, Layer, RigCamera, Scene, Track
 
 # Camera axes (x right, y down, z forward) in the ego frame (x forward, y left, z up).
 FORWARD = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

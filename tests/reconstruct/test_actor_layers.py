@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import Capture, View
-from gsrain_engine.reconstruct.beginning.actor_layers import actor_layers, points_of_box
-from gsrain_engine.scene.members import Part
+from gsrain_engine.scene.scene import Part
+from gsrain_engine.training.init import actor_layers, points_of_box
 from rasterized import rasterize
 
 from .drive_capture import ROAD_Z, box, drive_capture

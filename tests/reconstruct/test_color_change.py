@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.reconstruct.recoloring.color_change import fit_color_change
+from gsrain_engine.recolor.problem import fit_color_change
 from gsrain_engine.scene.gaussians import SH_C0, sh_from_color
 
 MATRIX = np.array([[0.6, 0.1, 0.0], [0.05, 0.6, 0.0], [0.0, 0.1, 0.7]])

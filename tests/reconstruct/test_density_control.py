@@ -5,17 +5,25 @@ import pytest
 
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.members import Part
+from gsrain_engine.scene.scene import Part
 from rasterized import rasterize
 
 from .random_splats import random_splats
 
 torch = pytest.importorskip("torch")
-from gsrain_engine.reconstruct.density.adaptive import AdaptiveDensity, AdaptiveSettings, rotated  # noqa: E402
-from gsrain_engine.reconstruct.density.control import DensityControl  # noqa: E402
-from gsrain_engine.reconstruct.density.monte_carlo import MonteCarloDensity, MonteCarloSettings  # noqa: E402
-from gsrain_engine.reconstruct.density.relocation import MOST_COPIES, relocated  # noqa: E402
-from gsrain_engine.reconstruct.parameters.splat_parameters import SplatParameters  # noqa: E402
+from gsrain_engine.training.mcmc import (  # noqa: E402
+    MOST_COPIES,
+    MonteCarloDensity,
+    MonteCarloSettings,
+    relocated,
+)
+from gsrain_engine.training.parameters import SplatParameters  # noqa: E402
+from gsrain_engine.training.strategy import (  # noqa: E402
+    AdaptiveDensity,
+    AdaptiveSettings,
+    DensityControl,
+    rotated,
+)
 
 
 def generator(seed: int = 0):

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import View
+from gsrain_engine.datasets.depth_maps import completed_depths, measured_depths
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.datasets.pixels.measured_depth import completed_depths, measured_depths
-from gsrain_engine.datasets.pixels.sky_pixels import sky_masks
-from gsrain_engine.datasets.prepared import prepared
-from gsrain_engine.reconstruct.beginning.ego_mask import ego_masks, without_ego
+from gsrain_engine.datasets.sky_masks import sky_masks
+from gsrain_engine.datasets.undistort import prepared
+from gsrain_engine.training.ego_mask import ego_masks, without_ego
 
 from .drive_capture import HEIGHT, WIDTH, drive_capture
 

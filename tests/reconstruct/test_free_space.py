@@ -5,12 +5,22 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.reconstruct.beginning.camera_way import camera_way  # noqa: E402
-from gsrain_engine.reconstruct.beginning.shortened import LONGEST  # noqa: E402
-from gsrain_engine.reconstruct.density.control import DensityControl  # noqa: E402
-from gsrain_engine.reconstruct.density.free_space import ClearedDensity, FreeSpace, clear, shorten  # noqa: E402
-from gsrain_engine.reconstruct.density.monte_carlo import MonteCarloDensity, MonteCarloSettings  # noqa: E402
-from gsrain_engine.reconstruct.parameters.splat_parameters import SplatParameters  # noqa: E402
+from gsrain_engine.training.free_space import (  # noqa: E402
+    ClearedDensity,
+    FreeSpace,
+    clear,
+    shorten,
+)
+from gsrain_engine.training.mcmc import (  # noqa: E402
+    MonteCarloDensity,
+    MonteCarloSettings,
+)
+from gsrain_engine.training.parameters import SplatParameters  # noqa: E402
+from gsrain_engine.training.strategy import DensityControl  # noqa: E402
+from gsrain_engine.training.surfels import (  # noqa: E402
+    LONGEST,
+    camera_way,
+)
 
 from .drive_capture import drive_capture, world_depth  # noqa: E402
 from .random_splats import random_splats  # noqa: E402

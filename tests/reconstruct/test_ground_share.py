@@ -3,8 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.reconstruct.recoloring.ground_height import ground_height_m
-from gsrain_engine.reconstruct.recoloring.ground_share import ground_share
+from gsrain_engine.recolor.views import ground_height_m, ground_share
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.scene import Scene
 

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.reconstruct.beginning.camera_way import camera_way
-from gsrain_engine.reconstruct.beginning.hidden_ground import hidden_ground
-from gsrain_engine.reconstruct.beginning.shortened import LONGEST, shortened
-from gsrain_engine.reconstruct.beginning.surfels import SPREAD
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.members import Part
+from gsrain_engine.scene.scene import Part
+from gsrain_engine.training.init import hidden_ground
+from gsrain_engine.training.surfels import LONGEST, SPREAD, camera_way, shortened
 from rasterized import rasterize
 
 from .drive_capture import ROAD_Z, drive_capture

@@ -7,13 +7,12 @@ from scipy.spatial.transform import Rotation
 
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.datasets.pixels.sky_pixels import sky_masks
-from gsrain_engine.datasets.prepared import prepared
-from gsrain_engine.reconstruct.beginning.initial_gaussians import initial_gaussians, round_gaussians
-from gsrain_engine.reconstruct.beginning.point_colors import point_colors
-from gsrain_engine.reconstruct.beginning.sky_layer import dome_directions, dome_radius, initial_sky
+from gsrain_engine.datasets.sky_masks import sky_masks
+from gsrain_engine.datasets.undistort import prepared
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
-from gsrain_engine.scene.members import Part
+from gsrain_engine.scene.scene import Part
+from gsrain_engine.training.init import dome_directions, dome_radius, initial_gaussians, initial_sky, round_gaussians
+from gsrain_engine.training.surfels import point_colors
 from rasterized import rasterize
 
 from .drive_capture import ROAD_Z, SKY, WALL_X, box, drive_capture, world_colors, world_depth

@@ -5,9 +5,12 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.evaluate.image_metrics import ssim  # noqa: E402
-from gsrain_engine.reconstruct.training import losses  # noqa: E402
-from gsrain_engine.reconstruct.training.losses import d_ssim, l1  # noqa: E402
+from gsrain_engine.evaluation.image_metrics import ssim  # noqa: E402
+from gsrain_engine.training import step  # noqa: E402
+from gsrain_engine.training.step import (  # noqa: E402
+    d_ssim,
+    l1,
+)
 
 
 def _pictures(height: int = 17, width: int = 23) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -58,9 +61,9 @@ def test_no_gradient_comes_from_what_the_mask_leaves_out():
 
 def test_window_means_of_the_gpu_are_those_of_the_processor():
     values = torch.tensor(_pictures()[0])
-    on_cpu = losses._CpuBlur.apply(values)
+    on_cpu = step._CpuBlur.apply(values)
     planes = torch.nn.functional.conv2d(
-        values.permute(2, 0, 1)[:, None], torch.tensor(np.outer(losses.window(), losses.window()))[None, None]
+        values.permute(2, 0, 1)[:, None], torch.tensor(np.outer(step.window(), step.window()))[None, None]
     )
     assert torch.allclose(on_cpu, planes[:, 0].permute(1, 2, 0), atol=1e-14)
 

@@ -4,22 +4,17 @@ from functools import cache
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.clear_view import ClearView
-from gsrain_engine.appearance.transfer import RainyView, Transfer
-from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
-from gsrain_engine.appearance.views.placed_camera import PlacedCamera
-from gsrain_engine.appearance.views.scene_views import scene_views
-from gsrain_engine.appearance.wet.scene_surroundings import SceneSurroundings
-from gsrain_engine.appearance.wet.settings import WetSettings
-from gsrain_engine.appearance.wet.transfer import WetTransfer
-from gsrain_engine.reconstruct.rainy_scene import rainy_scene
+from gsrain_engine.appearance.base import ClearView, RainyView, Transfer
+from gsrain_engine.appearance.scene_views import PlacedCamera, ViewChoice, chosen_cameras, scene_views
+from gsrain_engine.appearance.wet_look.environment import SceneSurroundings
+from gsrain_engine.appearance.wet_look.settings import WetSettings
+from gsrain_engine.appearance.wet_look.translator import WetTransfer
+from gsrain_engine.recolor.rainy_scene import rainy_scene
 from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.flags import Marks, Mask
 from gsrain_engine.scene.gaussians import SH_C0
-from gsrain_engine.scene.grading import Grading
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
 from gsrain_engine.scene.progress import Progress
-from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.scene import Grading, Scene
 from rasterized import rasterize
 
 from .small_street import small_street

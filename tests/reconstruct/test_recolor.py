@@ -1,9 +1,6 @@
 import numpy as np
 
-from gsrain_engine.raster.projection import view_directions
-from gsrain_engine.raster.spherical_harmonics import harmonics
-from gsrain_engine.raster.view_weights import view_weights
-from gsrain_engine.reconstruct.recoloring.solver import (
+from gsrain_engine.recolor.solver import (
     DIRECTIONAL_TIKHONOV,
     TIKHONOV,
     ColorTarget,
@@ -11,10 +8,13 @@ from gsrain_engine.reconstruct.recoloring.solver import (
     colors_seen,
     solve_colors,
 )
-from gsrain_engine.reconstruct.recoloring.weights import weights_of
+from gsrain_engine.recolor.weights import weights_of
+from gsrain_engine.render.cpu.compositing import view_weights
+from gsrain_engine.render.cpu.fast_math import harmonics
+from gsrain_engine.render.cpu.projection import view_directions
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.members import Part
+from gsrain_engine.scene.scene import Part
 
 
 def plain_pull(k: int, tikhonov: float = TIKHONOV) -> np.ndarray:

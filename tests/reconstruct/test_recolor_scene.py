@@ -4,9 +4,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluate.image_metrics import psnr
-from gsrain_engine.reconstruct.recoloring.recolor_scene import Recolored, recolor_scene
-from gsrain_engine.reconstruct.recoloring.settings import RecolorSettings
+from gsrain_engine.evaluation.image_metrics import psnr
+from gsrain_engine.recolor.problem import RecolorSettings
+from gsrain_engine.recolor.recolor import Recolored, recolor_scene
 from gsrain_engine.scene.gaussians import SH_C0
 from gsrain_engine.scene.scene import Scene
 from rasterized import rasterize

@@ -1,15 +1,8 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.raster.view_weights import view_weights
-from gsrain_engine.reconstruct.recoloring.weights import (
-    LEAST,
-    STEP,
-    StoredWeights,
-    WalkedWeights,
-    stored_weights,
-    weights_of,
-)
+from gsrain_engine.recolor.weights import LEAST, STEP, StoredWeights, WalkedWeights, stored_weights, weights_of
+from gsrain_engine.render.cpu.compositing import view_weights
 from gsrain_engine.scene.camera import Camera, look_at
 
 from .test_recolor import around, ball

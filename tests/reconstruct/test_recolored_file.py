@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.reconstruct.recoloring.recolored_file import read_recolored, write_recolored
-from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.recolor.result import read_recolored, write_recolored
+from gsrain_engine.scene.files import SceneFormatError
 
 
 def test_recolored_files_go_and_come_back_with_any_name(tmp_path):

@@ -7,15 +7,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.members import Actor
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Actor, Track
 
 from .random_splats import random_splats
 
 torch = pytest.importorskip("torch")
-from gsrain_engine.raster.differentiable import render_gaussians  # noqa: E402
-from gsrain_engine.reconstruct.parameters.splat_parameters import NAMES, SplatParameters  # noqa: E402
-from gsrain_engine.reconstruct.training.model import SplatModel  # noqa: E402
+from gsrain_engine.render.autodiff.differentiable import render_gaussians  # noqa: E402
+from gsrain_engine.training.model import SplatModel  # noqa: E402
+from gsrain_engine.training.parameters import (  # noqa: E402
+    NAMES,
+    SplatParameters,
+)
 
 TURN = Rotation.from_euler("xyz", [0.3, -0.2, 1.1])
 PLACE = np.array([0.5, 0.8, 0.4])

@@ -8,7 +8,10 @@ from gsrain_engine.scene.gaussians import Gaussians
 from .random_splats import random_splats
 
 torch = pytest.importorskip("torch")
-from gsrain_engine.reconstruct.parameters.splat_parameters import NAMES, SplatParameters  # noqa: E402
+from gsrain_engine.training.parameters import (  # noqa: E402
+    NAMES,
+    SplatParameters,
+)
 
 RATES = {"means": 1e-2, "log_scales": 5e-3, "quaternions": 1e-3, "opacity_logits": 5e-2, "sh_dc": 2e-3, "sh_rest": 1e-4}
 

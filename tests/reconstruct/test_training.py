@@ -13,13 +13,12 @@ pytest.importorskip("torch")
 
 from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.reconstruct.training.checkpoints import CheckpointError
-from gsrain_engine.reconstruct.training.reconstruction import Reconstruction
-from gsrain_engine.reconstruct.training.settings import TrainingSettings, load_settings
-from gsrain_engine.reconstruct.training.task import ReconstructionTask
-from gsrain_engine.reconstruct.training.training import reconstruct
-from gsrain_engine.scene.formats import read_scene
+from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.progress import Progress
+from gsrain_engine.training.model import CheckpointError
+from gsrain_engine.training.settings import TrainingSettings, load_settings
+from gsrain_engine.training.task import ReconstructionTask
+from gsrain_engine.training.train import Reconstruction, reconstruct
 from small_capture import small_capture
 
 QUICK = {"steps": 40, "gaussians": 3000, "held_out": 4, "measured_every": 20, "saved_every": 15}

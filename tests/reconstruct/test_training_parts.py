@@ -10,17 +10,35 @@ from small_capture import small_capture
 torch = pytest.importorskip("torch")
 
 from gsrain_engine.datasets.capture import View  # noqa: E402
-from gsrain_engine.raster.gradients.rendered import Footprint, Rendered  # noqa: E402
-from gsrain_engine.reconstruct.color_affine import fitted_affine, with_affine  # noqa: E402
-from gsrain_engine.reconstruct.training.curves import TrainingCurves  # noqa: E402
-from gsrain_engine.reconstruct.training.exposure_affine import ExposureAffine  # noqa: E402
-from gsrain_engine.reconstruct.training.held_out import held_out_indices, score  # noqa: E402
-from gsrain_engine.reconstruct.training.loss import Truth, view_loss  # noqa: E402
-from gsrain_engine.reconstruct.training.model import Picture  # noqa: E402
-from gsrain_engine.reconstruct.training.settings import TrainingSettings  # noqa: E402
-from gsrain_engine.reconstruct.training.trained_scene import recorded_path  # noqa: E402
-from gsrain_engine.reconstruct.training.views import Level, TrainingView, halved  # noqa: E402
+from gsrain_engine.evaluation.image_metrics import (  # noqa: E402
+    fitted_affine,
+    with_affine,
+)
+from gsrain_engine.render.autodiff.types import (  # noqa: E402
+    Footprint,
+    Rendered,
+)
 from gsrain_engine.scene.camera import Camera  # noqa: E402
+from gsrain_engine.training.data import (  # noqa: E402
+    Level,
+    TrainingView,
+    halved,
+)
+from gsrain_engine.training.evaluation import (  # noqa: E402
+    TrainingCurves,
+    held_out_indices,
+    score,
+)
+from gsrain_engine.training.model import (  # noqa: E402
+    Picture,
+    recorded_path,
+)
+from gsrain_engine.training.settings import TrainingSettings  # noqa: E402
+from gsrain_engine.training.step import (  # noqa: E402
+    ExposureAffine,
+    Truth,
+    view_loss,
+)
 
 
 def noise(*shape):

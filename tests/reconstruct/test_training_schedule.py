@@ -5,9 +5,16 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import View
-from gsrain_engine.reconstruct.training.schedule import Schedule, camera_extent, view_order
-from gsrain_engine.reconstruct.training.settings import TrainingSettings, help_of, load_settings, settings_names
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.training.settings import (
+    Schedule,
+    TrainingSettings,
+    camera_extent,
+    help_of,
+    load_settings,
+    settings_names,
+    view_order,
+)
 
 
 def test_the_means_slow_down_exponentially_from_the_papers_first_rate_to_its_last():

@@ -4,9 +4,11 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.reconstruct.training.schedule import Schedule  # noqa: E402
-from gsrain_engine.reconstruct.training.settings import TrainingSettings  # noqa: E402
-from gsrain_engine.reconstruct.training.transients import agreeing  # noqa: E402
+from gsrain_engine.training.settings import (  # noqa: E402
+    Schedule,
+    TrainingSettings,
+)
+from gsrain_engine.training.step import agreeing  # noqa: E402
 
 
 def test_a_patch_that_contradicts_is_left_out_and_noise_is_not() -> None:

@@ -13,10 +13,10 @@ from PIL import Image
 
 from drive.sweeps.small_sweep import sweep_of, write_road, write_scenario
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.drive.rollouts.json_lines import read_rollout
-from gsrain_engine.drive.sweeps.row import rows_in
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.scene.random_scene import random_scene
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.scene.open import random_scene
+from gsrain_engine.simulation.rollout_io import read_rollout
+from gsrain_engine.sweep.results import rows_in
 from small_capture import small_capture
 
 

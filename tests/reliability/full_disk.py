@@ -21,11 +21,11 @@ os.environ["NUMBA_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
-from gsrain_engine.kernel_cache import use_kernel_cache  # noqa: E402
+from gsrain_engine.compile_cache import use_kernel_cache  # noqa: E402
 
 use_kernel_cache()
 
-from app.command_line import run  # noqa: E402
+from app.main import run  # noqa: E402
 from reliability.commands import COMMANDS, Command, complaints, leftovers, write_inputs  # noqa: E402
 
 _DISK_MB = 64

@@ -19,16 +19,18 @@ os.environ["NUMBA_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
-from gsrain_engine.kernel_cache import use_kernel_cache  # noqa: E402
+from gsrain_engine.compile_cache import use_kernel_cache  # noqa: E402
 
 use_kernel_cache()
 
 import numpy as np  # noqa: E402
 
-from gsrain_engine.scene.formats import write_scene  # noqa: E402
-from gsrain_engine.scene.marks import Marks  # noqa: E402
-from gsrain_engine.scene.mask import Mask  # noqa: E402
-from gsrain_engine.session.session import Session  # noqa: E402
+from gsrain_engine.editor.editor import Session  # noqa: E402
+from gsrain_engine.scene.flags import (  # noqa: E402
+    Marks,
+    Mask,
+)
+from gsrain_engine.scene.formats.scene_files import write_scene  # noqa: E402
 from reliability.dying import run_in_child  # noqa: E402
 from small_scene import small_scene  # noqa: E402
 

@@ -11,9 +11,9 @@ import glfw
 import moderngl
 from imgui_bundle import glfw_utils
 
-from app.command_line import run
-from app.workspace import Workspace
-from gsrain_engine.render.lost_context import watch_of
+from app.main import run
+from gsrain_engine.render.opengl.context import watch_of
+from ui.workspace import Workspace
 
 _INNOCENT_CONTEXT_RESET = 0x8254
 _SCENE, _LOSSES, *_HOW = sys.argv[1:]
@@ -66,7 +66,7 @@ def main() -> int:
     """Run the program; a context of EGL tells of resets on llvmpipe too, one of GLX does not there."""
     glfw.init()
     glfw.window_hint(glfw.CONTEXT_CREATION_API, glfw.EGL_CONTEXT_API)
-    sys.modules["app.workspace"].Workspace = _Acting  # type: ignore[misc]
+    sys.modules["ui.workspace"].Workspace = _Acting  # type: ignore[misc]
     return run([_SCENE, "--backend", "opengl"])
 
 

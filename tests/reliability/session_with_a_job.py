@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from gsrain_engine.editor.jobs.job import JobFolder
+from gsrain_engine.editor.jobs.process import Job
 from gsrain_engine.scene.progress import Progress
-from gsrain_engine.session.jobs.job_folder import JobFolder
-from gsrain_engine.session.jobs.worker import Job
 
 
 def silent(place: Path) -> Iterator[Progress]:

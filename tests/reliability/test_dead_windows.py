@@ -11,8 +11,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from gsrain_engine.session.jobs import job_folder
-from gsrain_engine.session.jobs.job_folder import JobFolder, remove_abandoned_folders
+from gsrain_engine.editor.jobs import job
+from gsrain_engine.editor.jobs.job import JobFolder, remove_abandoned_folders
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs kill -9 and locks as POSIX has them")
 
@@ -67,10 +67,10 @@ def test_a_job_s_folder_goes_with_it_and_is_nobody_else_s(tmp_path):
 def test_other_folders_and_links_stay(tmp_path):
     (tmp_path / "gsrain-tests-1").mkdir()
     (tmp_path / "far").mkdir()
-    (tmp_path / f"{job_folder._PREFIX}link").symlink_to(tmp_path / "far")
-    (tmp_path / f"{job_folder._PREFIX}dead").mkdir()
+    (tmp_path / f"{job._PREFIX}link").symlink_to(tmp_path / "far")
+    (tmp_path / f"{job._PREFIX}dead").mkdir()
     remove_abandoned_folders()
-    assert {each.name for each in tmp_path.iterdir()} == {"gsrain-tests-1", "far", f"{job_folder._PREFIX}link"}
+    assert {each.name for each in tmp_path.iterdir()} == {"gsrain-tests-1", "far", f"{job._PREFIX}link"}
 
 
 def test_a_folder_that_is_removed_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
@@ -82,7 +82,7 @@ def test_a_folder_that_is_removed_before_it_is_locked_is_made_again(tmp_path, mo
             remove_abandoned_folders()
         return made[-1]
 
-    monkeypatch.setattr(job_folder.tempfile, "mkdtemp", taken_at_once)
+    monkeypatch.setattr(job.tempfile, "mkdtemp", taken_at_once)
     with ThreadPoolExecutor(max_workers=1) as files:
         folder = JobFolder(files)
         assert folder.do(lambda path: path).result() == Path(made[1])

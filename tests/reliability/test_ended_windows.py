@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.session.files.autosave import beside
+from gsrain_engine.editor.autosave import beside
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_scene import small_scene
 from window_driver import testing  # noqa: F401  skips where no window can open
 
@@ -16,7 +16,7 @@ TESTS = Path(__file__).parents[1]
 PROGRAM = """
 import os, signal, sys
 from app import window
-from app.command_line import run
+from app.main import run
 from session.files.open_document import delete_every_third
 
 def go_on(self, context):

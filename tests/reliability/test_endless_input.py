@@ -8,11 +8,11 @@ import threading
 import pytest
 from PIL import Image
 
-import gsrain_engine.untrusted.limits as limits
-from app.command_line import run
+import gsrain_engine.safe_io.limits as limits
+from app.main import run
 from fuzz.reader import limited_memory, limited_time
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.scene.random_scene import random_scene
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.scene.open import random_scene
 from small_scene import small_scene
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pipes and devices stand elsewhere under other names")
@@ -96,7 +96,7 @@ def test_a_pipe_that_nobody_writes_to_is_not_waited_for(command, scene, tmp_path
 
 @pytest.mark.parametrize("command", [SETTINGS[0], SETTINGS[2], SETTINGS[7]])
 def test_a_pipe_without_end_takes_no_memory_without_end(command, scene, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("gsrain_engine.scene.json_file._MAX_BYTES", 1 << 24)
+    monkeypatch.setattr("gsrain_engine.scene.files._MAX_BYTES", 1 << 24)
 
     def endless(path):
         os.mkfifo(path)

@@ -10,10 +10,10 @@ from contextlib import contextmanager
 
 import pytest
 
-from app.command_line import run
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.session.files import autosave
-from gsrain_engine.session.session import Session
+from app.main import run
+from gsrain_engine.editor import autosave
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from reliability.commands import complaints, leftovers
 from small_scene import small_scene
 

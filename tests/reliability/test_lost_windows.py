@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.session.files.autosave import beside
+from gsrain_engine.editor.autosave import beside
+from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 from window_driver import testing  # noqa: F401  skips where no window can open
 

@@ -8,12 +8,11 @@ from concurrent.futures import wait
 import numpy as np
 import pytest
 
-from app.command_line import run
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.session.jobs.report_files import new_report
-from gsrain_engine.session.session import Session
+from app.main import run
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.jobs.job import new_report
+from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_scene import small_scene
 
 NAMES = [

@@ -10,9 +10,8 @@ import numpy as np
 import psutil
 import pytest
 
+from gsrain_engine.editor.jobs.process import Job, Silence
 from gsrain_engine.scene.progress import Progress
-from gsrain_engine.session.jobs.silence import Silence
-from gsrain_engine.session.jobs.worker import Job
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs signals and limits as POSIX has them")
 

@@ -11,12 +11,11 @@ from contextlib import contextmanager
 
 import pytest
 
-from app.command_line import BAD_INPUT, run
-from gsrain_engine.scene import atomic_files
-from gsrain_engine.scene.atomic_files import whole_file, whole_folder
-from gsrain_engine.scene.file_lock import HeldError, holding, lock_file, locked
-from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.scene.open_scene import open_scene
+from app.main import BAD_INPUT, run
+from gsrain_engine.scene import files
+from gsrain_engine.scene.files import HeldError, holding, lock_file, locked, whole_file, whole_folder
+from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.open import open_scene
 from small_scene import small_scene
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs links, permissions and locks as POSIX has them")
@@ -24,7 +23,7 @@ posix = pytest.mark.skipif(os.name != "posix", reason="needs links, permissions 
 
 @pytest.fixture(autouse=True)
 def _nothing_is_tidied_yet(monkeypatch):
-    monkeypatch.setattr(atomic_files, "_tidied", set())
+    monkeypatch.setattr(files, "_tidied", set())
 
 
 def write(path, text="new"):
@@ -90,10 +89,10 @@ def test_a_folder_that_somebody_writes_to_stays_whatever_the_clock_says(tmp_path
 
 @posix
 def test_a_folder_that_is_being_written_is_held(tmp_path, monkeypatch):
-    monkeypatch.setattr(atomic_files, "_ABANDONED_S", -1.0)  # the clock leaps
+    monkeypatch.setattr(files, "_ABANDONED_S", -1.0)  # the clock leaps
     with whole_folder(tmp_path / "scene") as beside:
         (beside / "a").write_text("a")
-        monkeypatch.setattr(atomic_files, "_tidied", set())
+        monkeypatch.setattr(files, "_tidied", set())
         write(tmp_path / "c.txt")
         assert beside.is_dir()
     assert (tmp_path / "scene" / "a").read_text() == "a"
@@ -124,7 +123,7 @@ import sys
 shared = sys.argv[1:] == ["shared"]
 sys.argv = ["/usr/bin/gsrain", "street", "my out \\x1b[31m"]
 from pathlib import Path
-from gsrain_engine.scene.file_lock import holding
+from gsrain_engine.scene.files import holding
 with holding(Path(sys.stdin.readline().rstrip("\\n")), shared=shared):
     print("held", flush=True)
     sys.stdin.read()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gsrain_engine.render.context import NoOpenGLError, is_software, open_context
+from gsrain_engine.render.opengl.context import NoOpenGLError, is_software, open_context
 
 
 @pytest.fixture(scope="session")

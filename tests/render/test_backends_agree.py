@@ -8,21 +8,17 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import OVERCAST, Rainfall
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.render.frame import Frame
-from gsrain_engine.render.look import Look
-from gsrain_engine.render.renderer import Renderer
-from gsrain_engine.render.scene_view import Shot, draw_shot
+from gsrain_engine.rain.settings import Rain, load_preset
+from gsrain_engine.rain.simulation import OVERCAST, Rainfall
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.draw import Shot, draw_shot
+from gsrain_engine.render.opengl.renderer import SplatRenderer
+from gsrain_engine.render.renderer import Frame, Look, Renderer
 from gsrain_engine.render.sky_color import sky_color
-from gsrain_engine.render.splat_renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera, look_at, read_camera
-from gsrain_engine.scene.formats import read_scene
+from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.scene import Layer, Scene
 
 LEAST_PSNR_DB = 50.0
 LARGEST_RAIN_DIFFERENCE = 0.05

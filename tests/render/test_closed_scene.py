@@ -5,9 +5,9 @@ import weakref
 
 import pytest
 
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.session.picture.live_view import LiveView
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.drawing.live_view import LiveView
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.rain.settings import load_preset
 from small_scene import small_scene
 
 SIZE = (96, 64)

@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.render.depth_sort import KEY_BITS, KEYS_BY_GROUP, DepthSort, check_order, order_faults
-from gsrain_engine.render.host_sort import HostSort, nearest_first
+from gsrain_engine.render.opengl.sort import (
+    KEY_BITS,
+    KEYS_BY_GROUP,
+    DepthSort,
+    HostSort,
+    check_order,
+    nearest_first,
+    order_faults,
+)
 
 
 def work_for(context, count):

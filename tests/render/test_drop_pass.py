@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from given_rain import given_rain
+from gsrain_engine.presets import shipped_folder
 from gsrain_engine.rain.drop_field import CLASS_STRIDE, drops_at
-from gsrain_engine.rain.drop_sizes import CLASSES
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.rain.rainfall import Rainfall, View
-from gsrain_engine.rain.roofs import Roofs
-from gsrain_engine.rain.weather import Weather, WeatherKey
-from gsrain_engine.render.drop_pass import DropPass, class_rows
-from gsrain_engine.render.splat_renderer import SplatRenderer
+from gsrain_engine.rain.keyframes import Weather, WeatherKey
+from gsrain_engine.rain.properties import CLASSES
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.rain.shelter_map import Roofs
+from gsrain_engine.rain.simulation import Rainfall, View
+from gsrain_engine.render.opengl.rain import DropPass, class_rows
+from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.shipped_configs import shipped_folder
 
 EYE = np.array([3.0, -2.0, 1.5])
 CAMERA = Camera.from_fov(320, 200, 45.0, look_at(EYE, EYE + np.array([1, 0.2, 0.1]), np.array([0, 0, 1.0])))

@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.render import gpu_arrays
-from gsrain_engine.render.gpu_memory import reserved
-from gsrain_engine.render.growing_buffer import GrowingBuffer
-from gsrain_engine.session.document.staged_scene import StagedScene
-from gsrain_engine.session.picture import cpu_picture
-from gsrain_engine.session.picture.live_view import LiveView
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.drawing import textures
+from gsrain_engine.editor.drawing.live_view import LiveView
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.viewport_state import StagedScene
+from gsrain_engine.render.opengl import buffers
+from gsrain_engine.render.opengl.buffers import GrowingBuffer, reserved
 from raster.raster_scenes import random_gaussians
 from small_scene import small_scene
 
@@ -52,7 +51,7 @@ def test_what_the_driver_refuses_is_said(context, reserve):
 
 
 def test_an_upload_that_does_not_fit_leaves_nothing_behind(context, monkeypatch):
-    arrays, made = gpu_arrays.GpuArrays(context), []
+    arrays, made = buffers.GpuArrays(context), []
 
     def two_fit(context, size):
         if len(made) == 2:
@@ -60,7 +59,7 @@ def test_an_upload_that_does_not_fit_leaves_nothing_behind(context, monkeypatch)
         made.append(reserved(context, size))
         return made[-1]
 
-    monkeypatch.setattr(gpu_arrays, "reserved", two_fit)
+    monkeypatch.setattr(buffers, "reserved", two_fit)
     gaussians = random_gaussians(100)
     with pytest.raises(MemoryError):
         list(arrays.upload(gaussians))
@@ -74,8 +73,8 @@ def test_an_upload_that_does_not_fit_leaves_nothing_behind(context, monkeypatch)
 def test_the_processor_goes_on_where_the_card_is_full(context, session, monkeypatch, change):
     view = LiveView(context, session, "opengl")
     before = picture(view)
-    monkeypatch.setattr(gpu_arrays, "reserved", refuse)
-    monkeypatch.setattr(cpu_picture, "compile_kernels", lambda: None)  # those that are needed compile as they are
+    monkeypatch.setattr(buffers, "reserved", refuse)
+    monkeypatch.setattr(textures, "compile_kernels", lambda: None)  # those that are needed compile as they are
     scene = session.scene
     for each in scene.members:
         g = each.gaussians

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.render.context import open_context
-from gsrain_engine.render.splat_renderer import SplatRenderer
+from gsrain_engine.render.opengl.context import open_context
+from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.scene.camera import read_camera
-from gsrain_engine.scene.formats import read_scene
-from gsrain_engine.scene.members import Part
+from gsrain_engine.scene.formats.scene_files import read_scene
+from gsrain_engine.scene.scene import Part
 
 CASES = {"street_sh3": "golden/street_sh3.ply", "plant": "data/scenes/plant.splat"}
 LEAST_PSNR_DB = 50.0

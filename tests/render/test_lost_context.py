@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
+from app.main import BAD_INPUT, run
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.render import lost_context
-from gsrain_engine.render.context import NoOpenGLError, open_context
-from gsrain_engine.render.lost_context import LostContextError, watch_of
-from gsrain_engine.render.splat_renderer import SplatRenderer
+from gsrain_engine.editor.drawing.live_view import LiveView
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.render.opengl import context
+from gsrain_engine.render.opengl.context import LostContextError, NoOpenGLError, open_context, watch_of
+from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.scene.members import Part
-from gsrain_engine.session.picture.live_view import LiveView
-from gsrain_engine.session.session import Session
+from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.scene import Part
 from raster.raster_scenes import random_gaussians
 from small_scene import small_scene
 
@@ -44,7 +43,7 @@ def lost_after(monkeypatch):
 
     def lose(count):
         answers = iter([0] * count + [GUILTY_CONTEXT_RESET])
-        monkeypatch.setattr(lost_context, "_question", lambda address: lambda: next(answers, 0))
+        monkeypatch.setattr(context, "_question", lambda address: lambda: next(answers, 0))
 
     return lose
 
@@ -71,7 +70,7 @@ def test_where_the_driver_tells_nothing_another_context_is_taken(monkeypatch):
     def none(self):
         raise OSError("no context that tells its end")
 
-    monkeypatch.setattr("gsrain_engine.render.egl_context.EglContext.__init__", none)
+    monkeypatch.setattr("gsrain_engine.render.opengl.context.EglContext.__init__", none)
     with open_context("egl") as context:
         assert watch_of(context) is None
         renderer = SplatRenderer(context)

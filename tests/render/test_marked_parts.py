@@ -5,15 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.render import gpu_arrays
-from gsrain_engine.render.splat_renderer import SplatRenderer
-from gsrain_engine.scene.grading import Grading
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.members import Actor, Layer, Part
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.track import Track
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.opengl import buffers
+from gsrain_engine.render.opengl.renderer import SplatRenderer
+from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.scene import Actor, Grading, Layer, Part, Scene, Track
 from raster.raster_scenes import random_gaussians, small_camera
 from raster.test_marked_parts import COLORS, baked, part_of, some_of
 
@@ -123,7 +119,7 @@ def test_a_step_back_finds_its_colours_still_there(context, renderer, monkeypatc
     drawn(renderer, [Part(g, np.eye(4))])
     drawn(renderer, [Part(other, np.eye(4))])
     assert renderer.arrays.missing(g) == 0
-    monkeypatch.setattr(gpu_arrays, "_RESTING_BYTES", 0)
+    monkeypatch.setattr(buffers, "_RESTING_BYTES", 0)
     drawn(renderer, [Part(other, np.eye(4))])
     assert renderer.arrays.missing(g) == 300
     assert renderer.arrays.missing(replace(other)) == 0

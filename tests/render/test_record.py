@@ -13,21 +13,19 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.render.frame import Frame
-from gsrain_engine.render.labels import draw_labels
-from gsrain_engine.render.light import to_display, to_light
-from gsrain_engine.render.mounted_camera import mounted_cameras
-from gsrain_engine.render.record import record
-from gsrain_engine.render.recorded_views import frame_numbers, sequences_of
-from gsrain_engine.render.recording import Recording
-from gsrain_engine.render.scene_view import draw_shot
-from gsrain_engine.render.sequence import FrameSequence
-from gsrain_engine.render.splat_renderer import SplatRenderer
-from gsrain_engine.scene.drive_path import drive_path
-from gsrain_engine.scene.paths.camera_path import CameraPath
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.draw import draw_shot
+from gsrain_engine.render.export import frame_numbers, record, sequences_of
+from gsrain_engine.render.export_settings import Recording
+from gsrain_engine.render.images import to_display, to_light
+from gsrain_engine.render.object_labels import draw_labels
+from gsrain_engine.render.opengl.renderer import SplatRenderer
+from gsrain_engine.render.renderer import Frame
+from gsrain_engine.render.sequence import FrameSequence, mounted_cameras
+from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.rig import drive_path
 from gsrain_engine.scene.scene import Scene
 from small_scene import small_scene
 
@@ -141,7 +139,7 @@ def test_both_back_ends_see_the_same_labels(scene, path, context):
 
 
 def test_many_labels_take_sixteen_bits(tmp_path):
-    from gsrain_engine.render.pictures import write_labels
+    from gsrain_engine.render.images import write_labels
 
     labels = np.array([[0, 1], [255, 300]], np.uint16)
     write_labels(tmp_path / "many.png", labels, 300)
@@ -253,7 +251,7 @@ def test_a_full_disk_is_one_sentence(scene, rainfall, path, tmp_path):
 
 
 def test_large_previews_are_made_small():
-    from gsrain_engine.render.record import _small
+    from gsrain_engine.render.export import _small
 
     rgba = np.ones((720, 1280, 4), np.float32)
     assert _small(Frame(rgba)).shape == (180, 320, 3)

@@ -6,12 +6,11 @@ import msgspec
 import pytest
 from cyclopts import App
 
-from app.commands.arguments import parse_size
-from app.commands.render_options import RecordingOptions
-from gsrain_engine.render.recorded_files import outputs, recorded_files
-from gsrain_engine.render.recording import Recording
-from gsrain_engine.render.recording_command import recording_command
-from gsrain_engine.untrusted.explained_errors import converted
+from app.options import parse_size
+from app.render import RecordingOptions
+from gsrain_engine.render.export import recording_command
+from gsrain_engine.render.export_settings import Recording, outputs, recorded_files
+from gsrain_engine.safe_io.errors import converted
 
 
 @pytest.mark.parametrize(

@@ -7,23 +7,22 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.drop_sizes import CLASSES
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.rain.rainfall import Rainfall, View
-from gsrain_engine.rain.roofs import Roofs
-from gsrain_engine.render import depth_sort, shaders
-from gsrain_engine.render.depth_sort import DIGIT_BITS, KEYS_BY_GROUP, DepthSort, order_faults
-from gsrain_engine.render.drop_pass import DropPass, streak_slots
-from gsrain_engine.render.gpu_arrays import GpuArrays
-from gsrain_engine.render.projection_pass import ProjectionPass
-from gsrain_engine.render.splat_renderer import SplatRenderer
-from gsrain_engine.render.splat_store import SplatStore
-from gsrain_engine.render.visible_scan import COUNT_OFFSET
+from gsrain_engine.presets import shipped_folder
+from gsrain_engine.rain.properties import CLASSES
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.rain.shelter_map import Roofs
+from gsrain_engine.rain.simulation import Rainfall, View
+from gsrain_engine.render.opengl import shaders, sort
+from gsrain_engine.render.opengl.buffers import GpuArrays, SplatStore
+from gsrain_engine.render.opengl.prefix_sum import COUNT_OFFSET
+from gsrain_engine.render.opengl.projection import ProjectionPass
+from gsrain_engine.render.opengl.rain import DropPass, streak_slots
+from gsrain_engine.render.opengl.renderer import SplatRenderer
+from gsrain_engine.render.opengl.sort import DIGIT_BITS, KEYS_BY_GROUP, DepthSort, order_faults
 from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.flags import Mask
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.members import Part
-from gsrain_engine.shipped_configs import shipped_folder
+from gsrain_engine.scene.scene import Part
 from interpreted_gpu.context import InterpretedContext
 
 EYE = np.array([3.0, -2.0, 1.5])
@@ -59,7 +58,7 @@ def order_of(context, keys):
 
 @pytest.fixture
 def one_digit(monkeypatch):
-    monkeypatch.setattr(depth_sort, "KEY_BITS", DIGIT_BITS)
+    monkeypatch.setattr(sort, "KEY_BITS", DIGIT_BITS)
 
 
 def keys_of(count):
@@ -75,7 +74,7 @@ def test_the_sort_has_no_race_in_any_order_of_threads(one_digit, count, warps):
 
 
 def test_a_pass_reads_what_the_pass_before_it_wrote(monkeypatch):
-    monkeypatch.setattr(depth_sort, "KEY_BITS", 2 * DIGIT_BITS)
+    monkeypatch.setattr(sort, "KEY_BITS", 2 * DIGIT_BITS)
     context, keys = InterpretedContext(3), np.random.default_rng(3).integers(0, 256, 300, dtype=np.uint32)
     np.testing.assert_array_equal(order_of(context, keys), np.argsort(keys, kind="stable"))
     assert list(context.faults) == []

@@ -1,7 +1,7 @@
 import pytest
 
-from gsrain_engine.render import shaders
-from gsrain_engine.render.shaders import ShaderError, load_compute_shader, load_program
+from gsrain_engine.render.opengl import shaders
+from gsrain_engine.render.opengl.shaders import ShaderError, load_compute_shader, load_program
 
 
 def test_error_names_our_file_and_line(context, monkeypatch):

@@ -6,12 +6,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from given_rain import given_rain
-from gsrain_engine.render.depth_sort import DepthSort
-from gsrain_engine.render.splat_renderer import SplatRenderer
+from gsrain_engine.render.opengl.renderer import SplatRenderer
+from gsrain_engine.render.opengl.sort import DepthSort
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.members import Part
-from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
+from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
+from gsrain_engine.scene.scene import Part
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
 
@@ -232,7 +232,7 @@ def test_sorting_on_the_gpu_draws_the_same(context, monkeypatch):
     rng = np.random.default_rng(3)
     set_ = gaussians(rng.uniform([-2, -1, 1], [2, 1, 9], (9000, 3)), 0.1, 0.5)
     by_host = draw(SplatRenderer(context), set_).rgba
-    monkeypatch.setattr("gsrain_engine.render.splat_renderer.HostSort", DepthSort)
+    monkeypatch.setattr("gsrain_engine.render.opengl.renderer.HostSort", DepthSort)
     by_gpu = SplatRenderer(context)
     assert draw(by_gpu, set_).rgba.tobytes() == by_host.tobytes()
     assert by_gpu.statistics.splats_drawn > 3000

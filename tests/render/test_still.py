@@ -3,13 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.render.sequence import FrameSequence
-from gsrain_engine.render.still import render_still
+from gsrain_engine.editor.viewport.camera import home_camera
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.sequence import FrameSequence, render_still
 from gsrain_engine.scene.gaussians import sh_from_color
-from gsrain_engine.session.view.home_camera import home_camera
 from small_scene import small_scene
 
 RAIN = Rain(intensity_mm_h=30.0, exposure_s=0.02)

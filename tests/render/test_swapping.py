@@ -5,20 +5,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.rain.presets import load_preset
+from gsrain_engine.editor.drawing import live_view, uploads
+from gsrain_engine.editor.drawing.live_view import LiveView
+from gsrain_engine.editor.drawing.uploads import SkyWatch
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.viewport_state import StagedScene
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.render.draw import Thinning
+from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.render.sky_color import sky_color
-from gsrain_engine.render.splat_renderer import SplatRenderer
-from gsrain_engine.render.thinning import Thinning
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.members import Part
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.document.staged_scene import StagedScene
-from gsrain_engine.session.picture import live_view, sky_watch
-from gsrain_engine.session.picture.live_view import LiveView
-from gsrain_engine.session.picture.sky_watch import SkyWatch
-from gsrain_engine.session.session import Session
+from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.scene import Part, Scene
 from raster.raster_scenes import random_gaussians, small_camera
 from small_scene import small_scene
 
@@ -201,7 +199,7 @@ def test_no_look_while_something_is_dragged_nor_when_only_the_selection_changes(
 def test_large_scenes_are_looked_at_in_part_first_and_in_full_at_rest(renderer, monkeypatch):
     watch, scene = SkyWatch(), small_scene()
     watch.look(renderer, scene, HERE, resting=False)
-    monkeypatch.setattr(sky_watch, "_QUICK", 500)
+    monkeypatch.setattr(uploads, "_QUICK", 500)
     other, looks = darkened(scene), []
     for resting in (False, True):
         renderer.limits.clear()
@@ -216,7 +214,7 @@ def test_large_scenes_are_looked_at_in_part_first_and_in_full_at_rest(renderer, 
 
 
 def test_a_screenshot_finds_the_exact_sky(context, session, monkeypatch, tmp_path):
-    monkeypatch.setattr(sky_watch, "_QUICK", 500)
+    monkeypatch.setattr(uploads, "_QUICK", 500)
     session.change_rain("Rain", **msgspec.structs.asdict(load_preset("8.5")))
     view = LiveView(context, session, "opengl")
     picture(view)
@@ -233,7 +231,7 @@ def test_a_screenshot_finds_the_exact_sky(context, session, monkeypatch, tmp_pat
 
 def test_growth_is_worked_out_once_for_all_colours(monkeypatch):
     calls = []
-    monkeypatch.setattr("gsrain_engine.render.thinning.growth_of", lambda g, share: calls.append(share) or 1.5)
+    monkeypatch.setattr("gsrain_engine.render.draw.growth_of", lambda g, share: calls.append(share) or 1.5)
     g, thinning = random_gaussians(100), Thinning(0.25)
     for sh in (g.sh, g.sh * np.float32(2)):
         part = thinning(Part(g.with_sh(sh), np.eye(4)))

@@ -8,8 +8,7 @@ import av
 import numpy as np
 import pytest
 
-from gsrain_engine.render.torn_file import TornFile
-from gsrain_engine.render.video import VideoWriter, can_write_videos
+from gsrain_engine.render.video import TornFile, VideoWriter, can_write_videos
 
 
 def frames(count=12, width=64, height=48):

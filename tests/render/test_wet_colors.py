@@ -6,22 +6,21 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall
-from gsrain_engine.rain.weather import Weather, WeatherKey
+from gsrain_engine.editor.drawing import live_view
+from gsrain_engine.editor.drawing.live_view import LiveView
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.viewport_state import StagedScene
+from gsrain_engine.rain.keyframes import Weather, WeatherKey
+from gsrain_engine.rain.settings import Rain, load_preset
+from gsrain_engine.rain.simulation import Rainfall
 from gsrain_engine.rain.wetness import wetness
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.render.sky_color import Sky, sky_color
-from gsrain_engine.render.splat_renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.wet_colors import with_wetness_baked
-from gsrain_engine.session.document.staged_scene import StagedScene
-from gsrain_engine.session.picture import live_view
-from gsrain_engine.session.picture.live_view import LiveView
-from gsrain_engine.session.session import Session
+from gsrain_engine.scene.flags import Mask
+from gsrain_engine.scene.transforms import with_wetness_baked
 from raster.raster_scenes import small_camera
 from raster.test_marked_parts import COLORS
 from raster.test_wet_colors import blended, wet_part
@@ -80,7 +79,7 @@ def test_nobody_uploads_wet_colours_that_are_not_seen(context):
 
 def test_wet_colours_at_rest_outlive_what_else_comes(context, monkeypatch):
     """With no room for resting arrays, those of the present scene stay while it is dry."""
-    monkeypatch.setattr("gsrain_engine.render.gpu_arrays._RESTING_BYTES", 0)
+    monkeypatch.setattr("gsrain_engine.render.opengl.buffers._RESTING_BYTES", 0)
     renderer, part = SplatRenderer(context), wet_part()
     drawn(renderer, part._replace(wetness=0.5))
     drawn(renderer, part)

@@ -1,6 +1,6 @@
 import pytest
 
-from gsrain_engine.scene.atomic_files import whole_file
+from gsrain_engine.scene.files import whole_file
 
 
 def test_missing_folders_are_made(tmp_path):

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from gsrain_engine.scene.bounds import bounds, robust_bounds
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.scene import bounds, robust_bounds
 
 
 def gaussians_at(means: np.ndarray, opacities: np.ndarray) -> Gaussians:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gsrain_engine.scene.camera import Camera, look_at, read_camera
-from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.scene.files import SceneFormatError
 
 UP = np.array([0.0, 0, 1])
 coordinates = st.floats(-100, 100)

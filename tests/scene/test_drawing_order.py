@@ -8,14 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from gsrain_engine.scene.drawing_order import (
-    drawing_order,
-    growth_of,
-    in_drawing_order,
-    level_ends,
-    put_into_drawing_order,
-)
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.lod_order import drawing_order, growth_of, in_drawing_order, level_ends, put_into_drawing_order
 
 NUMBERS = st.one_of(st.sampled_from([0.0, 1e-30, 1e30, 1.0]), st.floats(0, 10, width=32))
 

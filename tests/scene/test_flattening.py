@@ -7,13 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.flattening import FILE_UP, flattened, moved
-from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.members import Actor, Layer
-from gsrain_engine.scene.rotations import matrices_from_quaternions, normalized
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.spherical_harmonics import evaluate_sh
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.gaussians import Gaussians, evaluate_sh
+from gsrain_engine.scene.geometry import matrices_from_quaternions, normalized
+from gsrain_engine.scene.scene import Actor, Layer, Scene, Track
+from gsrain_engine.scene.transforms import FILE_UP, flattened, moved
 
 
 def sample(count: int, sh_degree: int = 3, seed: int = 1) -> Gaussians:

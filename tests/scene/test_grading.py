@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.grading import UNCHANGED, Grading, graded
-from gsrain_engine.scene.spherical_harmonics import evaluate_sh
+from gsrain_engine.scene.gaussians import evaluate_sh
+from gsrain_engine.scene.scene import UNCHANGED, Grading, graded
 
 
 def test_defaults_change_nothing():

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.mask import Mask, union
+from gsrain_engine.scene.flags import Mask, union
 
 flags = st.lists(st.booleans(), max_size=100).map(lambda each: np.array(each, np.bool_))
 

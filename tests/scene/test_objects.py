@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from boxy_scene import boxy_scene
-from gsrain_engine.scene.coco_classes import COCO_CATEGORIES
-from gsrain_engine.scene.objects import scene_objects
-from gsrain_engine.scene.open_scene import cached_street
-from gsrain_engine.scene.street.layout import plan_street
-from gsrain_engine.scene.street.parameters import StreetParameters
+from gsrain_engine.scene.objects import COCO_CATEGORIES, scene_objects
+from gsrain_engine.scene.open import cached_street
+from gsrain_engine.scene.street.layout import StreetParameters, plan_street
 
 
 @pytest.fixture(scope="module")

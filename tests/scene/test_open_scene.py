@@ -2,8 +2,8 @@
 
 import pytest
 
-from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.scene.open_scene import is_built_in, open_scene
+from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.open import is_built_in, open_scene
 from small_scene import small_scene
 
 

@@ -5,10 +5,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.members import Actor, Layer
-from gsrain_engine.scene.rotations import matrices_from_quaternions, quaternion_product, quaternions_from_matrices
-from gsrain_engine.scene.scene import Scene, rotation_to_z_up
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.geometry import matrices_from_quaternions, quaternion_product, quaternions_from_matrices
+from gsrain_engine.scene.scene import Actor, Layer, Scene, Track, rotation_to_z_up
 
 unit = (
     st.tuples(*[st.floats(-1, 1)] * 4)

@@ -6,10 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from gsrain_engine.raster.spherical_harmonics import harmonics
-from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE, sh_from_color
-from gsrain_engine.scene.rotations import matrices_from_quaternions, normalized
-from gsrain_engine.scene.spherical_harmonics import evaluate_sh, rotate_sh, sh_basis
+from gsrain_engine.render.cpu.fast_math import harmonics
+from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE, evaluate_sh, rotate_sh, sh_basis, sh_from_color
+from gsrain_engine.scene.geometry import matrices_from_quaternions, normalized
 
 
 def directions(n: int, seed: int = 0) -> np.ndarray:

@@ -9,11 +9,12 @@ import sys
 
 import pytest
 
-from gsrain_engine.appearance.finetuning.settings_file import code_of, load_finetuning
-from gsrain_engine.appearance.normals.dsine_checkout import dsine_module
-from gsrain_engine.evaluate.comparison.settings import load_comparison
-from gsrain_engine.scene import trusted_code
-from gsrain_engine.scene.trusted_code import (
+from gsrain_engine import trusted_code
+from gsrain_engine.appearance.dsine_checkout import dsine_module
+from gsrain_engine.appearance.finetune.settings import code_of, load_finetuning
+from gsrain_engine.evaluation.compare_results import load_comparison
+from gsrain_engine.safe_io.limits import TooLargeError
+from gsrain_engine.trusted_code import (
     UntrustedCodeError,
     answers_file,
     check_named,
@@ -25,9 +26,8 @@ from gsrain_engine.scene.trusted_code import (
     read_code,
     remember,
     run_main,
-    trust,
-)  # fmt: skip
-from gsrain_engine.untrusted.limits import TooLargeError
+    trust,  # fmt: skip
+)
 
 
 @pytest.fixture(autouse=True)

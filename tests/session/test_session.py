@@ -11,17 +11,17 @@ import numpy as np
 import psutil
 import pytest
 
-from gsrain_engine.drive.road.ground import ground_of
-from gsrain_engine.drive.road.occupied_space import occupied_space_of
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.roofs import roofs_of
-from gsrain_engine.scene.bounds import Core
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.session.edits.moving import pivot
-from gsrain_engine.session.freed_memory import FreedMemory, return_freed_memory
-from gsrain_engine.session.rain.region_outlines import project_edges, region_outlines
-from gsrain_engine.session.session import Session
-from gsrain_engine.session.view.navigation import Navigation
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.edits.transform import pivot
+from gsrain_engine.editor.rain_regions import project_edges, region_outlines
+from gsrain_engine.editor.viewport.camera import Navigation
+from gsrain_engine.malloc_tuning import FreedMemory, return_freed_memory
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.shelter_map import roofs_of
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.scene.scene import Core
+from gsrain_engine.simulation.ground import ground_of
+from gsrain_engine.simulation.obstacles import occupied_space_of
 from small_scene import small_scene
 
 
@@ -203,8 +203,8 @@ def test_freed_memory_goes_back_to_the_system():
 LEFT_BY_THREADS = """
 import sys, threading
 import psutil
-from gsrain_engine.raster.freed_memory import keep_freed_memory
-from gsrain_engine.session.freed_memory import return_freed_memory, use_one_arena
+from gsrain_engine.malloc_tuning import keep_freed_memory
+from gsrain_engine.malloc_tuning import return_freed_memory, use_one_arena
 
 if sys.argv[1] == "one":
     use_one_arena()
@@ -240,9 +240,9 @@ def test_memory_that_threads_free_goes_back_only_from_one_arena():
 
 def test_memory_is_returned_a_second_after_work(monkeypatch):
     asked = []
-    monkeypatch.setattr("gsrain_engine.session.freed_memory.return_freed_memory", lambda: asked.append(now[0]))
+    monkeypatch.setattr("gsrain_engine.malloc_tuning.return_freed_memory", lambda: asked.append(now[0]))
     now = [10.0]
-    monkeypatch.setattr("gsrain_engine.session.freed_memory.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("gsrain_engine.malloc_tuning.time.monotonic", lambda: now[0])
     with ThreadPoolExecutor(1) as thread:
         memory = FreedMemory(thread)
         memory.poll()
@@ -271,8 +271,8 @@ def test_nothing_holds_on_to_a_closed_scene():
 
 def test_a_closed_scene_gives_its_memory_back(monkeypatch):
     returned = Event()
-    monkeypatch.setattr("gsrain_engine.session.freed_memory.return_freed_memory", returned.set)
-    monkeypatch.setattr("gsrain_engine.session.freed_memory._REST_S", 0.0)
+    monkeypatch.setattr("gsrain_engine.malloc_tuning.return_freed_memory", returned.set)
+    monkeypatch.setattr("gsrain_engine.malloc_tuning._REST_S", 0.0)
     session = Session(small_scene())
     session.files.close_scene()
     session.update(0.1)

@@ -6,10 +6,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.weather import Weather, WeatherKey, passing_shower
-from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.rain.keyframes import Weather, WeatherKey, passing_shower
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 
 

@@ -3,9 +3,8 @@
 import numpy as np
 from imgui_bundle import ImVec2
 
-from gsrain_engine.session.capture import capture_view
-from gsrain_engine.session.capture.shown_points import shown_points
-from gsrain_engine.session.capture.view_pictures import LARGE_PX, THUMBNAIL_PX, Wish
+from gsrain_engine.editor import capture_view
+from gsrain_engine.editor.capture_view import LARGE_PX, THUMBNAIL_PX, Wish, shown_points
 from session.capture.small_capture import COLORS, small_capture, written_capture
 from window_driver import Driver, imgui
 

@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
+from gsrain_engine.editor.notifications import Answer, Question, nothing
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.questions import Answer, Question, nothing
-from ui.actions import ACTIONS
-from ui.menus import MENUS
-from ui.pages.command_palette import matches
-from ui.panel_windows import panel_windows
-from ui.panels.table import PANELS
-from ui.shortcuts import chord, chord_name
-from ui.tools import TOOLS
+from ui.commands.base import chord, chord_name
+from ui.commands.registry import ACTIONS
+from ui.dialogs import matches
+from ui.panels.registry import BUILT_IN_PANELS
+from ui.shell import MENUS, panel_windows
+from ui.tools.registry import TOOLS
 from window_driver import Driver, imgui
 
 _CTRL, _SHIFT = imgui.Key.mod_ctrl, imgui.Key.mod_shift
@@ -34,7 +33,7 @@ def test_names_are_unique_and_menus_known_and_all_explained():
     assert len(names) == len(set(names))
     assert {action.menu for action in ACTIONS} <= {"", *MENUS}
     assert [action.name for action in ACTIONS if not action.help] == []
-    assert len({panel.title for panel in PANELS}) == len(PANELS)
+    assert len({panel.title for panel in BUILT_IN_PANELS}) == len(BUILT_IN_PANELS)
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])
@@ -98,7 +97,7 @@ def test_a_panel_that_is_hidden_is_brought_back_by_its_name(driver):
         driver.press(imgui.Key.enter)
         driver.until(lambda: log.is_visible and not imgui.internal.find_window_by_name("Log").hidden)
         assert imgui.internal.find_window_by_name("Timeline").hidden  # it is in front of it
-        assert len(panel_windows()) == len(PANELS)
+        assert len(panel_windows()) == len(BUILT_IN_PANELS)
 
     driver.run(script)
 

@@ -5,12 +5,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.agents.registry import open_agent
-from gsrain_engine.drive.rollouts.json_lines import read_rollout, write_rollout
-from gsrain_engine.drive.scenario.scenario import Scenario
-from gsrain_engine.drive.scenario.scenario_files import load_scenario
-from gsrain_engine.drive.simulation.drive import drive
-from gsrain_engine.drive.simulation.simulation import Simulation
+from gsrain_engine.simulation.agents.registry import open_agent
+from gsrain_engine.simulation.rollout_io import read_rollout, write_rollout
+from gsrain_engine.simulation.scenario import Scenario
+from gsrain_engine.simulation.scenario_io import load_scenario
+from gsrain_engine.simulation.simulation import Simulation, drive
 from small_scene import small_scene
 from window_driver import Driver, imgui
 

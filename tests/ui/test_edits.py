@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.members import Actor
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.flags import Mask
+from gsrain_engine.scene.scene import Actor, Track
 from small_scene import patch, small_scene
-from ui.shortcuts import chord
-from ui.tools import TOOLS
+from ui.commands.base import chord
+from ui.tools.registry import TOOLS
 from window_driver import Driver, imgui
 
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsrain_engine.scene.paths.camera_path import CameraPath
+from gsrain_engine.scene.camera_path import CameraPath
 from small_scene import small_scene
-from ui.shortcuts import chord
+from ui.commands.base import chord
 from window_driver import Driver, imgui
 
 _AHEAD = np.array([[0.5, -0.5, 0.5, -0.5]])

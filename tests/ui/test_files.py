@@ -6,14 +6,13 @@ from functools import partial
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.session.questions import Answer, Question
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.notifications import Answer, Question
+from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from session.files.open_document import HeldJob
 from small_scene import small_scene
-from ui.shortcuts import chord
+from ui.commands.base import chord
 from window_driver import Driver, imgui
 
 CTRL, SHIFT = imgui.Key.mod_ctrl, imgui.Key.mod_shift

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from small_scene import small_scene
-from ui.widgets import names
+from ui.widgets import text
 from window_driver import Driver, imgui
 
 NAMES = ("a##hidden", "b##hidden", "c###same", "d###same", "%s%n%d", "##", "[/x]\x1b[\u202e\nline", "\udcff no text")
@@ -29,7 +29,7 @@ def test_layers_cameras_steps_and_files(tmp_path, monkeypatch):
             driver.frames(2)
         driver.ctx.window_focus("//Layers")
         for layer in session.scene.layers[:4]:  # those that are in sight
-            driver.ctx.item_click(f"//Layers/**/###{names.plain_identity(layer.key.replace('/', ' '))}")
+            driver.ctx.item_click(f"//Layers/**/###{text.plain_identity(layer.key.replace('/', ' '))}")
             driver.frames(2)
             chosen.append(session.view.member)
 
@@ -40,9 +40,9 @@ def test_layers_cameras_steps_and_files(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_label_shows_all_of_a_name(name):
-    drawn = names.label(name, str(Path("/home") / name))
+    drawn = text.label(name, str(Path("/home") / name))
     shown, _, identity = drawn.partition("##")
-    assert "#" not in identity and shown.replace(" ", "") == names.escaped(name).replace(" ", "")
+    assert "#" not in identity and shown.replace(" ", "") == text.escaped(name).replace(" ", "")
 
 
 def test_titles_and_choices_hide_nothing(monkeypatch):
@@ -53,7 +53,7 @@ def test_titles_and_choices_hide_nothing(monkeypatch):
 
     for function in ("separator_text", "progress_bar", "combo", "button"):
         monkeypatch.setattr(imgui, function, drawing)
-    names.escape_all_text()
+    text.escape_all_text()
     imgui.separator_text("Record a##b")
     imgui.progress_bar(0.5, None, "Record a##b: 50 %")
     imgui.combo("##cameras", 0, ["a##b", "c#"])
@@ -64,11 +64,11 @@ def test_titles_and_choices_hide_nothing(monkeypatch):
 
 
 def test_identities_stay_different():
-    found = {names.plain_identity(name) for name in ("a#b", "a%23b", "a##b", "a###b", "ab", "a\x1b", r"a\x1b")}
+    found = {text.plain_identity(name) for name in ("a#b", "a%23b", "a##b", "a###b", "ab", "a\x1b", r"a\x1b")}
     assert len(found) == 7 and not any("#" in each for each in found)
 
 
 def test_icons_line_breaks_and_letters_are_drawn_as_they_are():
     words = "\uf015 Zürich\n東京\t\U0001f697"
-    assert names._visible(words) == words
-    assert names._visible(["a\x1b", words]) == [r"a\x1b", words] and names._visible(3) == 3
+    assert text._visible(words) == words
+    assert text._visible(["a\x1b", words]) == [r"a\x1b", words] and text._visible(3) == 3

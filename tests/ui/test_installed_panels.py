@@ -10,7 +10,7 @@ from window_driver import Driver, imgui
 
 _SULKS = """
 from imgui_bundle import imgui
-from ui.panels.panel import Panel
+from ui.panels.registry import Panel
 
 calls = []
 

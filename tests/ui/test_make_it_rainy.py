@@ -7,8 +7,8 @@ import numpy as np
 import psutil
 import pytest
 
-from gsrain_engine.session.appearance import lacking, rainy_look
-from ui.shortcuts import chord
+from gsrain_engine.editor import make_rainy
+from ui.commands.base import chord
 from window_driver import Driver, imgui
 
 PANEL = "//Make it rainy/"
@@ -67,7 +67,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         # Beside the clear scene, in rain that a step of its own brings.
         driver.click(f"{PANEL}###compare")
         assert session.view.split == "clear | rainy"
-        assert session.rain.intensity_mm_h == rainy_look.COMPARED_MM_H
+        assert session.rain.intensity_mm_h == make_rainy.COMPARED_MM_H
         compared = driver.picture()
         middle = compared.shape[1] // 2
         assert np.array_equal(compared[:, : middle - 1], clear[:, : middle - 1])
@@ -111,9 +111,9 @@ def test_what_is_missing_is_said_where_it_is_chosen(driver, tmp_path, monkeypatc
         driver.frames()
 
         ctx.combo_click("##method/CycleGAN-Turbo")
-        monkeypatch.setattr(lacking, "has_torch", lambda: False)
+        monkeypatch.setattr(make_rainy, "has_torch", lambda: False)
         assert "needs torch, which is not installed" in rainy.why_not(session)
-        monkeypatch.setattr(lacking, "has_torch", lambda: True)
+        monkeypatch.setattr(make_rainy, "has_torch", lambda: True)
         assert rainy.why_not(session).startswith("CycleGAN-Turbo: no transfer weights")
         ctx.item_click("###make")
         assert session.jobs == []

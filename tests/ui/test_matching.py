@@ -3,9 +3,8 @@
 import numpy as np
 from imgui_bundle import ImVec2
 
-from gsrain_engine.appearance.matching.correspondence import Outcome
+from gsrain_engine.appearance.correspondence import COLORS, Outcome
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.session.matching.matching_colors import COLORS
 from session.matching.test_matching_view import deep_capture
 from window_driver import Driver, imgui
 

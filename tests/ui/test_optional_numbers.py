@@ -2,9 +2,9 @@
 
 import pytest
 
-from gsrain_engine.appearance.transfer_settings import TransferSettings
-from gsrain_engine.appearance.views.choice import ViewChoice
-from gsrain_engine.rain.rain import Rain
+from gsrain_engine.appearance.base import TransferSettings
+from gsrain_engine.appearance.scene_views import ViewChoice
+from gsrain_engine.rain.settings import Rain
 from window_driver import Driver
 
 pytest.importorskip("imgui_bundle")

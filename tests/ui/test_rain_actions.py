@@ -4,11 +4,11 @@ import pytest
 
 pytest.importorskip("imgui_bundle")
 
-from gsrain_engine.rain.weather import passing_shower
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.rain.keyframes import passing_shower
 from small_scene import small_scene
-from ui.actions import ACTIONS
-from ui.tools import TOOLS
+from ui.commands.registry import ACTIONS
+from ui.tools.registry import TOOLS
 
 
 @pytest.fixture

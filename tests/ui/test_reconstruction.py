@@ -6,8 +6,8 @@ from PIL import Image
 
 from gsrain_engine.datasets.capture_folder import write_views
 from reconstruct.drive_capture import drive_capture, world_depth
-from ui.panels import reconstruct_fields
-from ui.shortcuts import chord
+from ui.commands.base import chord
+from ui.panels import training
 from window_driver import Driver, imgui
 
 pytest.importorskip("torch")
@@ -40,8 +40,8 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
     shots = drive / "shots"
     shots.mkdir()
     monkeypatch.setenv("XDG_DATA_HOME", str(drive / "data"))
-    settings = reconstruct_fields.load_settings("draft", steps=40, width_px=96, gaussians=3000, measured_every=20)
-    monkeypatch.setattr(reconstruct_fields._chosen, "settings", settings)
+    settings = training.load_settings("draft", steps=40, width_px=96, gaussians=3000, measured_every=20)
+    monkeypatch.setattr(training._chosen, "settings", settings)
     driver = Driver(shots)
     session = driver.session
 
@@ -83,7 +83,7 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
         # Dim pictures of the same views give it wet colours, which come with the rain.
         driver.click("//Rain/Streaks")
         driver.click("//Rain/Haze")
-        reconstruct_fields._recolor(session, drive / "drive", [drive / "dim"])
+        training._recolor(session, drive / "drive", [drive / "dim"])
         driver.until(lambda: ended(session.jobs[-1]), 1_000_000)
         assert (session.jobs[-1].state, session.jobs[-1].error) == ("finished", None)
         assert np.array_equal(driver.picture(), trained)  # it does not rain
@@ -102,7 +102,7 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
 
 
 def test_without_torch_the_panel_says_so(drive, monkeypatch):
-    monkeypatch.setattr(reconstruct_fields, "has_torch", lambda: False)
+    monkeypatch.setattr(training, "has_torch", lambda: False)
     driver = Driver(drive)
 
     def script():

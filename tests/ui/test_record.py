@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ui.shortcuts import chord
+from ui.commands.base import chord
 from window_driver import Driver, imgui
 
 FIELDS = "//Record/"

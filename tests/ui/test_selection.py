@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.session.selection.combine import selected, selected_count
+from gsrain_engine.editor.selection.candidates import selected, selected_count
 from small_scene import small_scene
-from ui.shortcuts import chord
-from ui.tools import TOOLS
+from ui.commands.base import chord
+from ui.tools.registry import TOOLS
 from window_driver import Driver, imgui
 
 KEY = imgui.Key

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from imgui_bundle import implot
 
-from gsrain_engine.rain.weather import Weather, WeatherKey
-from gsrain_engine.render.scene_view import rain_anchor
-from gsrain_engine.session.rain.region_handles import face_handles
-from gsrain_engine.session.rain.region_inset import inset_shot
-from ui.panels import shower_plot
+from gsrain_engine.editor.rain_regions import face_handles, inset_shot
+from gsrain_engine.rain.keyframes import Weather, WeatherKey
+from gsrain_engine.render.draw import rain_anchor
+from ui.panels import rain_keyframe_plot
 from window_driver import Driver, imgui
 
 
@@ -26,13 +25,13 @@ def hill():
 def pixel_of(monkeypatch):
     """Where a place of the plot is on the screen, as it was drawn last."""
     last = {}
-    drawn = shower_plot._clock
+    drawn = rain_keyframe_plot._clock
 
     def spy(session):
         drawn(session)
         last["zero"], last["one"] = implot.plot_to_pixels(0.0, 0.0), implot.plot_to_pixels(1.0, 1.0)
 
-    monkeypatch.setattr(shower_plot, "_clock", spy)
+    monkeypatch.setattr(rain_keyframe_plot, "_clock", spy)
 
     def pixel(seconds, rate):
         zero, one = last["zero"], last["one"]

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.paths.files import read_camera_path
-from gsrain_engine.session.camera_path import edits, files
-from gsrain_engine.session.camera_path.path_drawing import path_drawing
-from ui.shortcuts import chord
+from gsrain_engine.editor import camera_path
+from gsrain_engine.editor.overlays import path_drawing
+from gsrain_engine.scene.camera_path_io import read_camera_path
+from ui.commands.base import chord
 from window_driver import Driver, imgui
 
 KEY = imgui.Key
@@ -180,7 +180,7 @@ def test_numbers_of_a_key_and_of_the_path(driver):
         assert session.scene.path.positions[3, 1] == pytest.approx(2.5)
         driver.ctx.item_input_value(f"//{window}/##key look/$$2", 20.0)
         driver.frames()
-        assert edits.key_look(session, 3).roll_deg == pytest.approx(20)
+        assert camera_path.key_look(session, 3).roll_deg == pytest.approx(20)
         driver.ctx.item_input_value(f"//{window}/##key focal", 35.0)
         driver.frames()
         assert session.scene.path.vertical_fov_deg[3] == pytest.approx(37.8, abs=0.1)
@@ -252,13 +252,13 @@ def test_paths_come_from_the_drive_and_from_files(driver, tmp_path):
         path = session.scene.path
         assert path.times_s.tolist() == [0, 5]  # straight on
         assert path.positions[1] == pytest.approx([10, 0, 1.5])
-        files.export_path(session, tmp_path / "mine.json")
+        camera_path.export_path(session, tmp_path / "mine.json")
         assert np.array_equal(read_camera_path(tmp_path / "mine.json").positions, path.positions)
         driver.press(UNDO)
         assert session.scene.path is None
-        files.import_path(session, tmp_path / "mine.json")
+        camera_path.import_path(session, tmp_path / "mine.json")
         assert np.array_equal(session.scene.path.positions, path.positions)
-        files.import_path(session, tmp_path / "missing.json")
+        camera_path.import_path(session, tmp_path / "missing.json")
         assert "missing.json" in session.problem
         assert session.history.undo_label == "Import mine.json"
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.session.document.staged_scene import StagedScene
+from gsrain_engine.editor.viewport_state import StagedScene
 from small_scene import small_scene
-from ui.shortcuts import chord
+from ui.commands.base import chord
 from window_driver import Driver, imgui
 
 UNDO, REDO = chord(imgui.Key.mod_ctrl, imgui.Key.z), chord(imgui.Key.mod_ctrl, imgui.Key.y)

@@ -10,8 +10,8 @@ import glfw
 import pytest
 
 import window_driver  # noqa: F401  skips where there is no display
-from app.command_line import run
-from gsrain_engine.scene.formats import write_scene
+from app.main import run
+from gsrain_engine.scene.formats.scene_files import write_scene
 from reconstruct.small_street import small_street
 
 SCRIPT = Path(__file__).resolve().parent.parent / "whole_session.py"

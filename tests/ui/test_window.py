@@ -7,12 +7,12 @@ import pytest
 from imgui_bundle import im_file_dialog
 from PIL import Image
 
-from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
-from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.session.session import Session
+from gsrain_engine.disdrometer.netcdf import write_spectra
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.scene.formats.scene_files import write_scene
 from measured_rain import measured_rain
 from small_scene import small_scene
-from ui.shortcuts import chord
+from ui.commands.base import chord
 from window_driver import Driver, imgui
 
 

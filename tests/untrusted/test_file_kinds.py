@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.command_line import BAD_INPUT, run
+from app.main import BAD_INPUT, run
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.datasets.files.picture_file import picture_size, read_color
-from gsrain_engine.rain.disdrometer.files import UnknownKindError, read_disdrometer
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.formats import read_scene
-from gsrain_engine.untrusted.file_kinds import kind_of_bytes, kind_of_file
+from gsrain_engine.datasets.io.images import picture_size, read_color
+from gsrain_engine.disdrometer.open import read_disdrometer
+from gsrain_engine.disdrometer.spectra import UnknownKindError
+from gsrain_engine.safe_io.limits import kind_of_bytes, kind_of_file
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.formats.scene_files import read_scene
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"
 ARCHIVE, PICTURE, LFS, VIDEO = "it is an archive", "it is a picture", "it is a pointer of Git LFS", "it is a video"

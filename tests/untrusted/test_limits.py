@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-import gsrain_engine.untrusted.limits as limits
-from gsrain_engine.untrusted.limits import (
+import gsrain_engine.safe_io.limits as limits
+from gsrain_engine.safe_io.limits import (
     ByteBudget,
     Deadline,
     InputError,
@@ -338,21 +338,20 @@ def test_a_name_that_no_server_can_have():
 
 
 ALLOWED = {
-    "gsrain_engine/untrusted/limits.py": "the place itself",
-    "gsrain_engine/scene/file_lock.py": "locks, opened without waiting and never read",
-    "gsrain_engine/scene/atomic_files.py": "brings to the disk what it has written",
+    "gsrain_engine/safe_io/limits.py": "the place itself",
+    "gsrain_engine/scene/files.py": "locks, opened without waiting and never read; writes to the disk",
     "gsrain_engine/scene/formats/scene_folder.py": "hashes a file that it has just written",
-    "gsrain_engine/scene/open_scene.py": "hashes its own source",
-    "gsrain_engine/kernel_cache.py": "looks into its own folder, which nobody else may write to",
-    "gsrain_engine/shipped_configs.py": "files of the package",
-    "gsrain_engine/render/shaders.py": "files of the package",
-    "app/commands/bench_loading.py": "reads a folder that it has written, to time that",
-    "gsrain_engine/render/machine.py": "a list of processors that Linux makes",
-    "gsrain_engine/appearance/cyclegan_turbo/sorted_header.py": "puts a file that it has just written in order",
-    "gsrain_engine/drive/sweeps/pool_worker.py": "the worker's end: jobs of the program that has started it",
-    "app/window_icon.py": "files of the package",
-    "app/command_line.py": "the null device",
-    "app/commands/evaluate/lidar_page.py": "a figure that it has just drawn",
+    "gsrain_engine/scene/open.py": "hashes its own source",
+    "gsrain_engine/compile_cache.py": "looks into its own folder, which nobody else may write to",
+    "gsrain_engine/presets.py": "files of the package",
+    "gsrain_engine/render/opengl/shaders.py": "files of the package",
+    "app/bench.py": "reads a folder that it has written, to time that",
+    "gsrain_engine/render/hardware.py": "a list of processors that Linux makes",
+    "gsrain_engine/appearance/cyclegan_turbo/weights.py": "puts a file that it has just written in order",
+    "gsrain_engine/sweep/executors.py": "the worker's end: jobs of the program that has started it",
+    "ui/window.py": "files of the package",
+    "app/main.py": "the null device",
+    "app/evaluate/lidar.py": "a figure that it has just drawn",
 }
 """Files that open others by themselves, and why they may."""
 

@@ -1,24 +1,32 @@
 """The Drive plots: speed, acceleration, time to collision and gap over time; a click in one goes to its moment."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from jaxtyping import Float64
 
-from gsrain_engine.session.drive.curves import Curves
-from gsrain_engine.session.drive.opened_rollout import OpenedRollout
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.drive_curves import Curves
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.jobs.drive import OpenedRollout
+from gsrain_engine.editor.overlays_drive import mosaic_rows
+from gsrain_engine.scene.scene import RigCamera
+from gsrain_engine.simulation.metrics.summary import DriveMetrics
 
-from ..widgets.colors import PLAYHEAD
-from .drive_colors import curve_colors
+from ..widgets.draw import BACKGROUND, OUTLINE, PLAYHEAD, color
 
 _WIDE = 1.6
 """From so many times wider than high on, plots stand side by side."""
+
 _LEAST_EM, _HIGHEST_EM = 8.0, 14.0
+
 _MARGIN = 0.08
+
 _RIGHT = 0.03
 """Of the longest drive, free at its end: a collision is marked there."""
+
 _HIT = ImVec4(0.95, 0.33, 0.28, 1.0)
 
 
@@ -124,3 +132,158 @@ def _curve(opened: OpenedRollout, plot: _Plot, hue: ImVec4, *, is_playing: bool)
 def _cursor(now_s: float) -> None:
     spec = implot.Spec(line_color=PLAYHEAD, line_weight=1.5)
     implot.plot_inf_lines("now", np.array([now_s]), spec=spec)
+
+
+# § Colours of roll-outs in plots and lists: by their rain, from amber (dry) to violet (12 mm/h and more).
+
+_STOPS = ((0.0, (0.98, 0.74, 0.25)), (1.2, (0.45, 0.82, 0.45)), (8.5, (0.35, 0.68, 1.0)), (12.0, (0.78, 0.52, 1.0)))
+
+_DARKER = 0.72
+"""Each further one of the same rain."""
+
+_FEW = 3
+
+
+def curve_colors(opened: Sequence[OpenedRollout]) -> list[ImVec4]:
+    """A colour for each, in their order."""
+    colors: list[ImVec4] = []
+    for number, each in enumerate(opened):
+        alike = sum(other.intensity_mm_h == each.intensity_mm_h for other in opened[:number])
+        red, green, blue = (part * _DARKER ** (alike % _FEW) for part in _rain_color(each.intensity_mm_h))
+        colors.append(ImVec4(red, green, blue, 1.0))
+    return colors
+
+
+def _rain_color(intensity_mm_h: float) -> tuple[float, ...]:
+    for (low, first), (high, second) in pairwise(_STOPS):
+        if intensity_mm_h <= high:
+            part = max(intensity_mm_h - low, 0.0) / (high - low)
+            return tuple((1 - part) * a + part * b for a, b in zip(first, second, strict=True))
+    return _STOPS[-1][1]
+
+
+# § The table of metrics: a column for each roll-out that is open.
+
+_MOST = 5
+
+_NONE = "-"
+
+
+def _number(value: float | None, form: str = "{:.2f}") -> str:
+    return _NONE if value is None else form.format(value)
+
+
+def _percent(value: float | None) -> str:
+    return _NONE if value is None else f"{100 * value:.1f} %"
+
+
+_ROWS: tuple[tuple[str, str, Callable[[DriveMetrics], str]], ...] = (
+    ("End", "Why the drive ended.", lambda m: m.end),
+    ("Hit", "Who was hit; background is anything of the scene.", lambda m: m.collided_with or _NONE),
+    ("at (s)", "When it was hit, seconds since the scenario began.", lambda m: _number(m.collision_time_s)),
+    ("at (m/s)", "Speed of the ego vehicle then.", lambda m: _number(m.collision_speed_m_s)),
+    ("Min. TTC (s)", "Least time to collision, bumper gap over closing speed, capped at 10 s.",
+     lambda m: _number(m.min_ttc_s)),
+    ("Min. gap (m)", "Least bumper gap to who is ahead in the lane.", lambda m: _number(m.min_gap_m)),
+    ("C, points", "Planned points that collide, of all planned points (the paper's C).",
+     lambda m: _percent(m.planned_point_collision_rate)),
+    ("C, frames", "Moments whose plan has any point that collides.",
+     lambda m: _percent(m.planned_frame_collision_rate)),
+    ("S, driven", "Share of moments within the paper's comfort limits, of the motion as driven.",
+     lambda m: _number(m.comfort_executed, "{:.3f}")),
+    ("S, planned", "The same of the plans: HUGSIM's comfort.", lambda m: _number(m.comfort_planned, "{:.3f}")),
+    ("Braking (m/s\u00b2)", "Hardest deceleration of a step.", lambda m: _number(m.hardest_braking_m_s2)),
+    ("Distance (m)", "Driven.", lambda m: _number(m.distance_m, "{:.1f}")),
+    ("Route", "Share of the route ahead of the start that was driven.", lambda m: _percent(m.route_completion)),
+    ("HD-score", "HUGSIM's score; none where it can't be measured.", lambda m: _number(m.hdscore, "{:.3f}")),
+)  # fmt: skip
+
+
+def drive_metrics(session: Session) -> None:
+    drives = session.drives
+    runs = sorted(zip(drives.opened, curve_colors(drives.opened), strict=True), key=lambda each: each[0].intensity_mm_h)
+    runs = runs[:_MOST]
+    flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop
+    if not imgui.begin_table("metrics", 1 + len(runs), flags):
+        return
+    imgui.table_next_row()
+    imgui.table_next_column()
+    imgui.text_disabled("mm/h")
+    for opened, hue in runs:
+        imgui.table_next_column()
+        mark = " *" if opened is drives.playing and len(runs) > 1 else ""
+        imgui.text_colored(hue, f"{opened.intensity_mm_h:g}{mark}")
+        imgui.set_item_tooltip(f"{opened.title}{'; it plays' if opened is drives.playing else ''}.")
+    for title, help_text, value in _ROWS:
+        imgui.table_next_row()
+        imgui.table_next_column()
+        imgui.text(title)
+        imgui.set_item_tooltip(help_text)
+        for opened, _ in runs:
+            imgui.table_next_column()
+            imgui.text(value(opened.metrics))
+    imgui.end_table()
+    if not all(opened.metrics.with_background for opened, _ in runs):
+        imgui.text_disabled("C counts road users only.")
+        imgui.set_item_tooltip("Planned points were not tested against the scene's background: the file has no scene.")
+
+
+# § The Rig cameras panel: what each camera of the ego vehicle sees now, side by side.
+
+_GAP = 3.0
+
+
+def camera_mosaic_panel(session: Session) -> None:
+    """Draw the panel; pictures are only drawn while it is to be seen."""
+    mosaic, scene = session.drives.mosaic, session.scene
+    if scene.ego is None or not scene.rigs:
+        imgui.text_wrapped("This scene has no ego vehicle with cameras.")
+        return
+    if len(scene.rigs) > 1:
+        names = list(scene.rigs)
+        present = names.index(mosaic.rig) if mosaic.rig in names else 0
+        imgui.set_next_item_width(-1)
+        changed, at = imgui.combo("##rig", present, names)
+        imgui.set_item_tooltip("The rig whose cameras are shown, from where the ego vehicle is now.")
+        if changed:
+            mosaic.rig = names[at]
+    rows = mosaic_rows(mosaic.cameras(scene))
+    width = _width(rows)
+    mosaic.want(width)
+    start = imgui.get_cursor_screen_pos()
+    top = start.y
+    for row in rows:
+        height = max(width * each.height / each.width for each in row)
+        for column, camera in enumerate(row):
+            _picture(session, camera, ImVec2(start.x + column * (width + _GAP), top), width)
+        top += height + _GAP
+    imgui.set_cursor_screen_pos(start)
+    imgui.dummy(ImVec2(max(map(len, rows)) * (width + _GAP), top - start.y))
+
+
+def _width(rows: list[list[RigCamera]]) -> float:
+    room, most = imgui.get_content_region_avail(), max(map(len, rows))
+    by_width = (room.x - (most - 1) * _GAP) / most
+    tall = sum(max(each.height / each.width for each in row) for row in rows)
+    by_height = (room.y - len(rows) * _GAP) / tall
+    return max(min(by_width, by_height), 60.0)
+
+
+def _picture(session: Session, camera: RigCamera, at: ImVec2, width: float) -> None:
+    draw, em = imgui.get_window_draw_list(), imgui.get_font_size()
+    end = ImVec2(at.x + width, at.y + width * camera.height / camera.width)
+    picture = session.drives.mosaic.pictures.get(camera.name)
+    if picture is None:
+        draw.add_rect_filled(at, end, color(BACKGROUND))
+    else:
+        draw.add_image(imgui.ImTextureRef(picture.name), at, end)
+    words = camera.name.removeprefix("CAM_").replace("_", " ").lower()
+    size = imgui.calc_text_size(words)
+    low = ImVec2(at.x + 3, at.y + 3)
+    draw.push_clip_rect(at, end, True)
+    draw.add_rect_filled(low, ImVec2(low.x + size.x + 0.5 * em, low.y + size.y), color(OUTLINE), 3.0)
+    draw.add_text(ImVec2(low.x + 0.25 * em, low.y), imgui.get_color_u32((1.0, 1.0, 1.0, 0.95)), words)
+    draw.pop_clip_rect()
+    if imgui.is_window_hovered() and imgui.is_mouse_hovering_rect(at, end):
+        size_px = f"{camera.width} x {camera.height} px"
+        imgui.set_tooltip(f"{camera.name}, {size_px}, {1000 * camera.exposure_s:.3g} ms.")

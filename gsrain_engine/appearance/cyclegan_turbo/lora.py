@@ -9,6 +9,7 @@ from typing import Any
 torch: Any = import_module("torch")
 
 Tensor = Any
+
 Module = Any
 
 UNET_LAYERS = (
@@ -16,6 +17,7 @@ UNET_LAYERS = (
     "proj_out", "proj_in", "ff.net.2", "ff.net.0.proj",
 )  # fmt: skip
 """Parts of the names of UNet layers with additions (Parmar et al. 2024)."""
+
 VAE_LAYERS = (
     "conv1", "conv2", "conv_in", "conv_shortcut", "conv", "conv_out", "skip_conv_1", "skip_conv_2", "skip_conv_3",
     "skip_conv_4", "to_k", "to_q", "to_v", "to_out.0",
@@ -23,8 +25,10 @@ VAE_LAYERS = (
 """Ends of the names of autoencoder layers with additions."""
 
 UNET_ADAPTERS = ("default_encoder", "default_decoder", "default_others")
+
 VAE_ADAPTER = "vae_skip"
 """Names of peft adapters, as in img2img-turbo."""
+
 VAE_ALPHA = 8
 """peft's default, which img2img-turbo leaves as it is: at rank 4 the autoencoder's additions count twice."""
 

@@ -1,17 +1,23 @@
 """CycleGAN-Turbo (Parmar et al. 2024): one step of SD-Turbo between two autoencoders' halves, in both directions."""
 
 import copy
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import Any, Literal
 
-from .architecture import TurboArchitecture
+import numpy as np
+
+from ...safe_io.limits import read_file
+from ...safe_io.text_files import MOST_BYTES
 from .lora import LoraRanks, add_adapters
-from .one_step import OneStep
-from .skip_autoencoder import add_guide_channel, add_skips, decoded, encoded
 
 torch: Any = import_module("torch")
 
 Tensor = Any
+
 Direction = Literal["a2b", "b2a"]
 """a is clear and b rainy, in weights that make views rainy."""
 
@@ -20,6 +26,35 @@ CAPTIONS = ("driving in heavy rain", "driving in the day")
 
 Guide = Literal["", "normals", "mask"]
 """What the fourth channel was trained with: nothing yet, up-ness of surfaces, or WeatherEdit's mask of classes."""
+
+# § What CycleGAN-Turbo is built of, as a value: configurations of SD-Turbo's three networks, and a small stand-in.
+
+
+@dataclass(frozen=True, slots=True)
+class TurboArchitecture:
+    """Configurations as diffusers and transformers write them, and the noise schedule of the one step."""
+
+    name: str
+    """Stands in the header of our weights: "sd-turbo" or "tiny"."""
+    unet: Mapping[str, Any]
+    """Of UNet2DConditionModel."""
+    vae: Mapping[str, Any]
+    """Of AutoencoderKL, with three channels."""
+    text: Mapping[str, Any]
+    """Of CLIPTextModel."""
+    betas: tuple[float, float] = (0.00085, 0.012)
+    """Variances of the noise at the first and the last of `noise_steps`; their roots grow in equal steps between."""
+    noise_steps: int = 1000
+
+    @property
+    def side_multiple(self) -> int:
+        """Picture sides must be multiples of this, in pixels."""
+        return 2 ** (len(self.vae["block_out_channels"]) - 1)
+
+    @property
+    def caption_shape(self) -> tuple[int, int, int]:
+        """Of what the UNet takes for a caption: 1, tokens, features."""
+        return 1, self.text["max_position_embeddings"], self.unet["cross_attention_dim"]
 
 
 class CycleGanTurbo(torch.nn.Module):
@@ -168,3 +203,224 @@ def assembled(
 def _singles(pictures: Tensor, guides: Tensor | None) -> list[tuple[Tensor, Tensor | None]]:
     parts: list[Tensor | None] = [None] * len(pictures) if guides is None else list(guides.split(1))
     return list(zip(pictures.split(1), parts, strict=True))
+
+
+def sd_turbo() -> TurboArchitecture:
+    """Architecture of stabilityai/sd-turbo, which is that of Stable Diffusion 2.1 (base)."""
+    unet = {
+        "attention_head_dim": [5, 10, 20, 20],
+        "block_out_channels": [320, 640, 1280, 1280],
+        "cross_attention_dim": 1024,
+        "sample_size": 64,
+        "use_linear_projection": True,
+    }
+    vae = _vae([128, 256, 512, 512], layers=2, groups=32) | {"sample_size": 768}
+    text = {
+        "vocab_size": 49408,
+        "hidden_size": 1024,
+        "intermediate_size": 4096,
+        "num_hidden_layers": 23,
+        "num_attention_heads": 16,
+        "max_position_embeddings": 77,
+        "hidden_act": "gelu",
+    }
+    return TurboArchitecture("sd-turbo", unet, vae, text)
+
+
+def tiny() -> TurboArchitecture:
+    """Stand-in of the same classes, blocks and layer names: a forward pass takes a fraction of a second."""
+    unet = {
+        "attention_head_dim": [2, 2, 4, 4],
+        "block_out_channels": [8, 8, 16, 16],
+        "cross_attention_dim": 16,
+        "norm_num_groups": 4,
+        "sample_size": 8,
+        "use_linear_projection": True,
+    }
+    text = {
+        "vocab_size": 64,
+        "hidden_size": 16,
+        "intermediate_size": 32,
+        "num_hidden_layers": 2,
+        "num_attention_heads": 2,
+        "max_position_embeddings": 77,
+        "hidden_act": "gelu",
+    }
+    return TurboArchitecture("tiny", unet, _vae([8, 8, 16, 16], layers=1, groups=4), text)
+
+
+ARCHITECTURES = {"sd-turbo": sd_turbo, "tiny": tiny}
+"""By the names that our weights carry."""
+
+
+def check_base(folder: Path, architecture: TurboArchitecture) -> None:
+    """Raise ValueError where a folder in diffusers' layout holds another architecture, naming file and field.
+
+    Only what is written down is compared: a field that the file leaves out has its class's default value there.
+    """
+    for part, wanted in (("unet", architecture.unet), ("vae", architecture.vae)):
+        _check(folder / part / "config.json", dict(wanted))
+    schedule = {
+        "prediction_type": "epsilon",
+        "beta_schedule": "scaled_linear",
+        "beta_start": architecture.betas[0],
+        "beta_end": architecture.betas[1],
+        "num_train_timesteps": architecture.noise_steps,
+    }
+    _check(folder / "scheduler" / "scheduler_config.json", schedule)
+
+
+def _check(file: Path, wanted: Mapping[str, Any]) -> None:
+    try:
+        found: Any = json.loads(read_file(file, MOST_BYTES).decode("utf-8"))
+    except OSError as error:
+        raise FileNotFoundError(f"{file}: no such file; a folder of SD-Turbo in diffusers' layout has it") from error
+    except ValueError as error:
+        raise ValueError(f"{file}: not readable JSON: {error}") from error
+    if not isinstance(found, dict):
+        raise ValueError(f"{file}: a JSON object is wanted here")
+    for key, value in wanted.items():
+        if key not in ("sample_size",) and key in found and found[key] != value:
+            raise ValueError(f"{file}: {key} is {found[key]!r}, but CycleGAN-Turbo builds on SD-Turbo with {value!r}")
+
+
+def _vae(channels: list[int], *, layers: int, groups: int) -> dict[str, Any]:
+    return {
+        "block_out_channels": channels,
+        "down_block_types": ["DownEncoderBlock2D"] * len(channels),
+        "up_block_types": ["UpDecoderBlock2D"] * len(channels),
+        "layers_per_block": layers,
+        "norm_num_groups": groups,
+        "latent_channels": 4,
+        "scaling_factor": 0.18215,
+    }
+
+
+# § The one step of SD-Turbo: a clean latent from the noise that the UNet finds in it, in closed form.
+
+
+@dataclass(frozen=True, slots=True)
+class OneStep:
+    """The step from the last of the noise steps straight to a clean latent."""
+
+    timestep: int
+    """999 in SD-Turbo: with "trailing" spacing a schedule of one step starts at the end; "leading" would give 0."""
+    signal: float
+    """Share of the clean latent at that step, a standard deviation."""
+    noise: float
+    """Share of the noise, likewise."""
+
+    @classmethod
+    def of(cls, architecture: TurboArchitecture) -> "OneStep":
+        """Work the shares out of the noise schedule (Ho et al. 2020, eq. 4; betas "scaled linear")."""
+        first, last = architecture.betas
+        betas = np.linspace(first**0.5, last**0.5, architecture.noise_steps) ** 2
+        kept = float(np.prod(1 - betas))
+        return cls(architecture.noise_steps - 1, kept**0.5, (1 - kept) ** 0.5)
+
+    def clean(self, latents: Tensor, noise: Tensor) -> Tensor:
+        """Latents without the noise that the UNet predicts for them, as DDPM's step gives (Ho et al. 2020, eq. 15).
+
+        An error in the noise comes out 15 times as large (`noise / signal`), so this is reckoned in float32 at least.
+        The UNet's own rounding is amplified all the same: in a small random one bfloat16 is 1.2 % off and float16
+        0.15 %, which makes 17 % and 2 % of a latent's deviation.
+        """
+        clean = (latents.float() - self.noise * noise.float()) / self.signal
+        return clean.to(latents.dtype)
+
+
+# § SD-Turbo's autoencoder with skip connections from encoder to decoder, and a fourth channel beside red, green,
+# blue.
+#
+# The modules and their names are diffusers' AutoencoderKL with `decoder.skip_conv_1` to `_4` added, so that state
+# dictionaries fit those of img2img-turbo (Parmar et al. 2024). Nothing is stored between encoding and decoding.
+
+Autoencoder = Any
+"""diffusers' AutoencoderKL, with skips."""
+
+SKIP_START = 1e-5
+"""Every weight of a skip convolution before training (Parmar et al. 2024): as good as no skip."""
+
+
+def add_skips(vae: Autoencoder) -> None:
+    """Add the 1x1 convolutions that bring what each down block takes to the up block of the same size."""
+    channels = list(vae.config.block_out_channels)
+    taken = [channels[0], *channels[:-1]]
+    given = [channels[-1], *reversed(channels[1:])]
+    like = vae.decoder.conv_in.weight
+    for i, (source, target) in enumerate(zip(reversed(taken), given, strict=True)):
+        skip = torch.nn.Conv2d(source, target, 1, bias=False, device=like.device, dtype=like.dtype)
+        torch.nn.init.constant_(skip.weight, SKIP_START)
+        setattr(vae.decoder, f"skip_conv_{i + 1}", skip)
+
+
+def add_guide_channel(vae: Autoencoder) -> None:
+    """Give the encoder a fourth channel whose weights are zero: pictures are encoded exactly as before.
+
+    Gradients reach the new weights all the same. WeatherEdit starts from the mean over colours instead, which changes
+    every latent.
+    """
+    narrow = vae.encoder.conv_in
+    wide = torch.nn.Conv2d(
+        narrow.in_channels + 1,
+        narrow.out_channels,
+        narrow.kernel_size,
+        narrow.stride,
+        narrow.padding,
+        device=narrow.weight.device,
+        dtype=narrow.weight.dtype,
+    )
+    with torch.no_grad():
+        wide.weight.copy_(widened(narrow.weight, wide.in_channels))
+        wide.bias.copy_(narrow.bias)
+    wide.requires_grad_(narrow.weight.requires_grad)
+    vae.encoder.conv_in = wide
+    vae.register_to_config(in_channels=wide.in_channels)
+
+
+def widened(weight: Tensor, channels: int) -> Tensor:
+    """A kernel (out, in, h, w), or a low-rank factor of it, that takes this many channels; the new ones are zero."""
+    missing = weight.new_zeros(weight.shape[0], channels - weight.shape[1], *weight.shape[2:])
+    return torch.cat([weight, missing], dim=1)
+
+
+def encoded(vae: Autoencoder, pictures: Tensor) -> tuple[Tensor, list[Tensor]]:
+    """Scaled latents (b, 4, h / 8, w / 8), and what each down block took, from fine to deep.
+
+    Args:
+        vae: With skips.
+        pictures: (b, 3 or 4, h, w) in [-1, 1].
+
+    The mode of the distribution, not a sample: neighbouring views must not differ by chance.
+    """
+    encoder = vae.encoder
+    flow = encoder.conv_in(pictures)
+    skips: list[Tensor] = []
+    for block in encoder.down_blocks:
+        skips.append(flow)
+        flow = _through(encoder, block, flow)
+    flow = _through(encoder, encoder.mid_block, flow)
+    flow = vae.quant_conv(encoder.conv_out(encoder.conv_act(encoder.conv_norm_out(flow))))
+    mean, _ = flow.chunk(2, dim=1)
+    return mean * vae.config.scaling_factor, skips
+
+
+def decoded(vae: Autoencoder, latents: Tensor, skips: Sequence[Tensor], strength: float = 1.0) -> Tensor:
+    """Pictures (b, 3, h, w) in [-1, 1] from scaled latents and what `encoded` gave beside them.
+
+    `strength` scales what the skips carry: 1 as trained (img2img-turbo's gamma), 0 leaves them out.
+    """
+    decoder = vae.decoder
+    flow = decoder.conv_in(vae.post_quant_conv(latents / vae.config.scaling_factor))
+    flow = _through(decoder, decoder.mid_block, flow)
+    for i, (block, skip) in enumerate(zip(decoder.up_blocks, reversed(skips), strict=True)):
+        flow = flow + getattr(decoder, f"skip_conv_{i + 1}")(skip * strength)
+        flow = _through(decoder, block, flow)
+    return decoder.conv_out(decoder.conv_act(decoder.conv_norm_out(flow))).clamp(-1, 1)
+
+
+def _through(half: Any, block: Any, flow: Tensor) -> Tensor:
+    """Run a block of an encoder or decoder; with gradient checkpointing it is run again for the gradients."""
+    if half.gradient_checkpointing and torch.is_grad_enabled():
+        return torch.utils.checkpoint.checkpoint(block, flow, use_reentrant=False)
+    return block(flow)

@@ -1,11 +1,95 @@
-"""How CycleGAN-Turbo is run over views: one value, which a command or a panel fills in."""
+"""What mutual self-attention lets views take from each other: one value, which a command or a panel fills in."""
 
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from gsrain_engine.appearance.attention.settings import MutualAttention
-from gsrain_engine.appearance.normals.grey_guide import GuideKind
+from ..normals import GuideKind
+
+
+class MutualAttention(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Which views attend to which others (eq. 16-19), and in which layers of the network."""
+
+    neighbours: Annotated[
+        int, Meta(ge=0, le=16, title="Neighbours", description="So many other views each one looks at; 0 is none.")
+    ] = 2
+    among: Annotated[
+        Literal["all", "cameras", "time"],
+        Meta(title="Among", description="cameras: of the same moment. time: of the same camera. all: both."),
+    ] = "all"
+    order: Annotated[
+        Literal["outward", "together"],
+        Meta(
+            title="Order",
+            description="outward: an anchor view first, then each looks at views already done. "
+            "together: the views of a group all look at each other.",
+        ),
+    ] = "outward"
+    group: Annotated[
+        int, Meta(ge=1, le=64, title="Group", description="So many views go through the network at once when together.")
+    ] = 3
+    layers: Annotated[
+        tuple[str, ...],
+        Meta(title="Layers", description='Names of self-attention layers with wildcards, like "up_blocks.*".'),
+    ] = ("*",)
+    px_per_token: Annotated[
+        tuple[int, ...],
+        Meta(title="Pixels per token", description="Only layers whose tokens are so wide; SD-Turbo has 8 to 64."),
+    ] = (8, 16, 32)
+    """At 64 px a token covers more than an object: places in another view mean little there."""
+    most_scores: Annotated[
+        int,
+        Meta(ge=1, title="Most scores", description="Attention scores held at once; queries come in chunks below it."),
+    ] = 2**26
+    """256 MB in float32."""
+
+
+# § A part of a picture that goes through the network at once.
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A rectangle of a picture, in its pixels; the whole picture where it is not cut into tiles."""
+
+    top: int
+    left: int
+    height: int
+    width: int
+    frame: tuple[int, int]
+    """Height and width of the whole picture."""
+
+    @classmethod
+    def whole(cls, height: int, width: int) -> "Window":
+        return cls(0, 0, height, width, (height, width))
+
+    @property
+    def is_whole(self) -> bool:
+        return (self.height, self.width) == self.frame
+
+    def in_tokens(self, height: int, width: int) -> "Window":
+        """The same in a map whose part for this window has `height` x `width` tokens.
+
+        Raises ValueError where the window does not begin at a token or the tokens don't cover the picture evenly.
+        """
+        if self.is_whole:
+            return Window.whole(height, width)
+        scaled = [
+            value * tokens / pixels
+            for value, tokens, pixels in (
+                (self.top, height, self.height),
+                (self.left, width, self.width),
+                (self.frame[0], height, self.height),
+                (self.frame[1], width, self.width),
+            )
+        ]
+        if any(value != int(value) for value in scaled):
+            raise ValueError(f"{self} does not fall on whole tokens of a map of {height} x {width}")
+        top, left, frame_height, frame_width = (int(value) for value in scaled)
+        return Window(top, left, height, width, (frame_height, frame_width))
+
+
+# § How CycleGAN-Turbo is run over views: one value, which a command or a panel fills in.
 
 NormalsFrom = Literal["depth", "dsine", "marigold", "none"]
 

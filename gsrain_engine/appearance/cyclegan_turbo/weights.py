@@ -1,23 +1,55 @@
 """Files of CycleGAN-Turbo's weights, in whatever layout: read strictly into a model, and written in our own."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import json
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from gsrain_engine.untrusted.limits import check_file, open_file
-from gsrain_engine.untrusted.printable import printable
-
-from .delta import TurboDelta
-from .diffusers_lora_weights import is_diffusers_lora, read_diffusers_lora
-from .model import CycleGanTurbo
-from .own_weights import check_header, is_own, read_own, write_own
-from .published_weights import is_published, published_texts, read_published
+from ...safe_io.limits import check_file, open_file
+from ...safe_io.text_files import printable
+from ...scene.files import whole_file
+from .lora import VAE_ADAPTER, VAE_ALPHA, LoraRanks, LowRank, adapted_layers, addition_of, plain_name, targeted
+from .model import ARCHITECTURES, CAPTIONS, CycleGanTurbo, Guide, widened
 
 torch: Any = import_module("torch")
 
 Tensor = Any
+
+# § What a transfer adds to SD-Turbo: low-rank additions, tensors in place of others, captions; taken in, given out.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TurboDelta:
+    """Weights of one transfer relative to SD-Turbo. Names are of the whole model, as they are without peft."""
+
+    source: str
+    """File that it was read from, for messages."""
+    additions: Mapping[str, LowRank]
+    """By the layer's name, as "unet.mid_block.resnets.0.conv1"."""
+    replaced: Mapping[str, Tensor]
+    """By the tensor's name, as "vae.decoder.skip_conv_1.weight"; additions come on top."""
+    guide: Guide = ""
+    captions: tuple[Tensor, Tensor] | None = None
+    """For a2b and b2a; None leaves the model's own."""
+    texts: tuple[str, str] | None = None
+    """What the captions say."""
+
+    @property
+    def ranks(self) -> LoraRanks:
+        """The largest ranks of the UNet's and the autoencoders' additions; 0 where there are none."""
+        unet = [each.down.shape[0] for name, each in self.additions.items() if name.startswith("unet.")]
+        vae = [each.down.shape[0] for name, each in self.additions.items() if not name.startswith("unet.")]
+        return LoraRanks(max(unet, default=0), max(vae, default=0))
+
+    @property
+    def takes_guides(self) -> bool:
+        """Whether it was made with a fourth channel."""
+        first = self.replaced.get(f"{_ENCODER_INPUTS[0]}.weight")
+        addition = self.additions.get(_ENCODER_INPUTS[0])
+        return any(each is not None and each.shape[1] > 3 for each in (first, addition and addition.down))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,3 +151,443 @@ def _safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
             return {name: file.get_tensor(name) for name in names}, dict(file.metadata() or {})
     except (safetensors.SafetensorError, AttributeError, OSError, RuntimeError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: not a readable .safetensors: {printable(error)}") from None
+
+
+_ENCODER_INPUTS = ("vae.encoder.conv_in", "vae_b2a.encoder.conv_in")
+
+
+def plain_tensors(model: CycleGanTurbo) -> dict[str, Tensor]:
+    """A model's weights without additions, by the names that they have without peft."""
+    return {plain_name(name): each for name, each in model.named_parameters() if ".lora_" not in name}
+
+
+def plain_layers(model: CycleGanTurbo) -> list[str]:
+    """Names of the linear layers and convolutions."""
+    return [name.removesuffix(".weight") for name, each in plain_tensors(model).items() if each.ndim > 1]
+
+
+def take_in(model: CycleGanTurbo, delta: TurboDelta) -> None:
+    """Put weights into a model: into its peft adapters where it has them, else merged into its layers.
+
+    Raises ValueError, which names the first one, for layers and tensors that don't fit; the model is as it was then.
+    """
+    if model.delta is not None:
+        raise ValueError(f"{delta.source}: the model has weights from {model.delta.source} already")
+    tensors = plain_tensors(model)
+    delta = _fitted(delta, tensors)
+    if delta.captions is not None:
+        model.check_captions(*delta.captions)
+    with torch.no_grad():
+        if model.adapted:
+            _into_adapters(model, delta)
+        for name, value in delta.replaced.items():
+            tensors[name].copy_(value)
+        for layer, addition in delta.additions.items() if not model.adapted else ():
+            weight = tensors[f"{layer}.weight"]
+            weight.copy_(addition.added(weight))
+    if delta.captions is not None:
+        model.set_captions(*delta.captions)
+    model.texts = delta.texts or model.texts
+    model.guide = delta.guide
+    model.delta = None if model.adapted else delta
+
+
+def given_out(model: CycleGanTurbo) -> TurboDelta:
+    """What a model has beyond SD-Turbo, with everything that may have been trained, whether it is another or not.
+
+    Raises ValueError for a model that has neither adapters nor loaded weights.
+    """
+    captions = (model.captions["a2b"], model.captions["b2a"])
+    if not model.adapted:
+        if model.delta is None:
+            raise ValueError("this model is plain SD-Turbo: there is nothing to save")
+        return replace(model.delta, captions=captions, texts=model.texts)
+    additions = {name: addition_of(layer) for name, layer in adapted_layers(model)}
+    whole = {
+        name: each
+        for name, each in plain_tensors(model).items()
+        if each.requires_grad or name.startswith(("unet.conv_in.", *_ENCODER_INPUTS)) or ".skip_conv_" in name
+    }
+    guide: Guide = ("normals" if model.guide == "" else model.guide) if model.takes_guides else ""
+    return TurboDelta("the model", additions, whole, guide, captions, model.texts)
+
+
+def check_names(found: Iterable[str], wanted: Iterable[str], where: str) -> None:
+    """Raise ValueError, which names the first of each, where keys are missing or unknown."""
+    have, need = set(found), set(wanted)
+    faults = [f"{_first(need - have)} missing"] if need - have else []
+    faults += [f"{_first(have - need)} unknown"] if have - need else []
+    if faults:
+        raise ValueError(f"{where}: {', and '.join(faults)}")
+
+
+def _first(names: set[str]) -> str:
+    others = f" and {len(names) - 1} more are" if len(names) > 1 else " is"
+    return f"{min(names)!r}{others}"
+
+
+def _fitted(delta: TurboDelta, tensors: Mapping[str, Tensor]) -> TurboDelta:
+    """The delta with kernels widened to the model's channels and without tensors that are the model's own anyway."""
+    takes = tensors[f"{_ENCODER_INPUTS[0]}.weight"].shape[1]
+    if delta.takes_guides and takes == 3:
+        raise ValueError(f"{delta.source}: made with a fourth channel, which this model lacks: open it with normals")
+    for name in delta.additions:
+        if f"{name}.weight" not in tensors:
+            raise ValueError(f"{delta.source}: {name!r} is no layer of this model")
+    additions, replaced = dict(delta.additions), dict(delta.replaced)
+    for layer in _ENCODER_INPUTS:
+        if layer in additions:
+            additions[layer] = replace(additions[layer], down=widened(additions[layer].down, takes))
+        if (kernel := f"{layer}.weight") in replaced:
+            replaced[kernel] = widened(replaced[kernel], takes)
+    for name, addition in additions.items():
+        try:
+            addition.check(tuple(tensors[f"{name}.weight"].shape))
+        except ValueError as error:
+            raise ValueError(f"{delta.source}: {name!r}: {error}") from error
+    for name, value in replaced.items():
+        if name not in tensors:
+            raise ValueError(f"{delta.source}: {name!r} is no tensor of this model")
+        if value.shape != tensors[name].shape:
+            shapes = f"{tuple(value.shape)}, but the model has {tuple(tensors[name].shape)}"
+            raise ValueError(f"{delta.source}: {name!r} is {shapes}")
+    replaced = {name: value for name, value in replaced.items() if not _equal(value, tensors[name])}
+    return replace(delta, additions=additions, replaced=replaced)
+
+
+def _equal(a: Tensor, b: Tensor) -> bool:
+    return a.dtype == b.dtype and torch.equal(a, b.to(a.device))
+
+
+def _into_adapters(model: CycleGanTurbo, delta: TurboDelta) -> None:
+    own = {name: addition_of(layer) for name, layer in adapted_layers(model)}
+    check_names(delta.additions, own, f"{delta.source}, to be trained on")
+    for name, mine in own.items():
+        given = delta.additions[name]
+        for kind, to, value in (("lora_A", mine.down, given.down), ("lora_B", mine.up, given.up)):
+            if to.shape != value.shape:
+                shapes = f"{tuple(value.shape)}, but the model has {tuple(to.shape)}"
+                raise ValueError(f"{delta.source}: {kind} of {name!r} is {shapes}")
+        if abs(mine.scale - given.scale) > 1e-6 * abs(mine.scale):
+            raise ValueError(f"{delta.source}: {name!r} counts {given.scale:g} times, {mine.scale:g} in the model")
+    for name, mine in own.items():
+        mine.down.copy_(delta.additions[name].down)
+        mine.up.copy_(delta.additions[name].up)
+
+
+# § Our own file of a transfer's weights: safetensors with everything that differs from SD-Turbo, whole or not at all.
+
+FORMAT = "gsrain-cyclegan-turbo"
+
+_VERSION = "1"
+
+_FACTORS = ("lora_A.weight", "lora_B.weight", "alpha")
+
+_PROBE = "unet.conv_out.bias"
+"""A tensor of the base that nothing trains, kept to see that weights are put onto what they were made for."""
+
+_PROBE_TOLERANCE = 2e-2
+"""Relative to the largest value: halves of float precision are the same base."""
+
+
+def is_own(metadata: Mapping[str, str]) -> bool:
+    """Whether the header of a .safetensors says that it is such a file."""
+    return metadata.get("format") == FORMAT
+
+
+def write_own(model: CycleGanTurbo, path: Path) -> None:
+    """Write what a model has beyond SD-Turbo; raises ValueError where that is nothing."""
+    delta = given_out(model)
+    tensors: dict[str, Tensor] = {f"base.{_PROBE}": plain_tensors(model)[_PROBE]}
+    for name, addition in delta.additions.items():
+        alpha = addition.down.new_tensor(addition.scale * addition.down.shape[0])
+        tensors |= dict(zip((f"{name}.{f}" for f in _FACTORS), (addition.down, addition.up, alpha), strict=True))
+    tensors |= delta.replaced
+    assert delta.captions is not None and delta.texts is not None
+    tensors |= {"captions.a2b": delta.captions[0], "captions.b2a": delta.captions[1]}
+    header = {
+        "format": FORMAT,
+        "version": _VERSION,
+        "architecture": model.architecture.name,
+        "guide": delta.guide,
+        "rank_unet": str(delta.ranks.unet),
+        "rank_vae": str(delta.ranks.vae),
+        "caption_a2b": delta.texts[0],
+        "caption_b2a": delta.texts[1],
+    }
+    if model.seed is not None:
+        header["random_base_seed"] = str(model.seed)
+    header["tensors"] = json.dumps(sorted(tensors))
+    save: Any = import_module("safetensors.torch").save_file
+    plain = {name: each.detach().cpu().contiguous() for name, each in tensors.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as beside:
+        save(plain, beside, metadata=header)
+        sort_header(beside)
+
+
+def read_own(
+    tensors: Mapping[str, Tensor], metadata: Mapping[str, str], model: CycleGanTurbo, source: str
+) -> TurboDelta:
+    """Weights of such a file; raises ValueError for another version, architecture or base, and for unknown keys."""
+    check_header(metadata, source)
+    if metadata["architecture"] != model.architecture.name:
+        raise ValueError(f"{source}: made for {metadata['architecture']}, not for {model.architecture.name}")
+    _check_base(tensors, model, source)
+    ends = tuple(f".{factor}" for factor in _FACTORS)
+    layers = {name.removesuffix(end) for name in tensors for end in ends if name.endswith(end)}
+    others = {"captions.a2b", "captions.b2a", f"base.{_PROBE}"}
+    known = others | set(json.loads(metadata["tensors"]))
+    check_names(tensors, known | {f"{layer}.{factor}" for layer in layers for factor in _FACTORS}, source)
+    whole = {name for name in tensors if name not in others and not name.endswith(ends)}
+    additions: dict[str, LowRank] = {}
+    for layer in layers:
+        down, up, alpha = (tensors[f"{layer}.{factor}"] for factor in _FACTORS)
+        additions[layer] = LowRank(down, up, float(alpha) / down.shape[0])
+    guide = metadata["guide"]
+    return TurboDelta(
+        source,
+        additions,
+        {name: tensors[name] for name in whole},
+        "normals" if guide == "normals" else "mask" if guide == "mask" else "",
+        (tensors["captions.a2b"], tensors["captions.b2a"]),
+        (metadata["caption_a2b"], metadata["caption_b2a"]),
+    )
+
+
+def check_header(metadata: Mapping[str, str], source: str) -> None:
+    """Raise ValueError where the header of our file lacks a field, or is of another version or architecture."""
+    for field in ("version", "architecture", "guide", "caption_a2b", "caption_b2a", "tensors"):
+        if field not in metadata:
+            raise ValueError(f"{source}: {field!r} is missing from its header")
+    if metadata["version"] != _VERSION:
+        raise ValueError(f"{source}: version {metadata['version']}, this program reads {_VERSION}")
+    if metadata["architecture"] not in ARCHITECTURES:
+        raise ValueError(f"{source}: unknown architecture {metadata['architecture']!r}")
+    if not metadata.get("random_base_seed", "0").isdecimal():
+        raise ValueError(f"{source}: random_base_seed in its header is no number")
+
+
+def _check_base(tensors: Mapping[str, Tensor], model: CycleGanTurbo, source: str) -> None:
+    probe = tensors.get(f"base.{_PROBE}")
+    mine = plain_tensors(model)[_PROBE].float().cpu()
+    if probe is None or probe.shape != mine.shape:
+        raise ValueError(f"{source}: 'base.{_PROBE}' is missing or of another shape")
+    if float((probe.float() - mine).abs().max()) > _PROBE_TOLERANCE * float(mine.abs().max()):
+        raise ValueError(f"{source}: made upon another base than this one; SD-Turbo of Stability AI is wanted")
+
+
+# § Checkpoints of img2img-turbo (clear2rainy.pkl and others) and of WeatherEdit, as their authors publish them.
+
+_UNET_PARTS = (
+    ("sd_encoder", "l_target_modules_encoder"),
+    ("sd_decoder", "l_target_modules_decoder"),
+    ("sd_other", "l_modules_others"),
+)
+"""Where the UNet's additions are, and which layers they are of."""
+
+_OTHERS = ("rank_unet", "rank_vae", "vae_lora_target_modules", "sd_vae_enc", "sd_vae_dec")
+
+_VAES = ("vae.", "vae_b2a.")
+
+WEATHERS = ("rainy", "snowy", "foggy")
+"""Which one checkpoint of WeatherEdit holds, each with the same autoencoder."""
+
+WEATHEREDIT_CAPTION = "Picture of a {} weather scene"
+
+
+def is_published(state: Mapping[str, Any]) -> bool:
+    """Whether a loaded file looks like a checkpoint of img2img-turbo or WeatherEdit."""
+    return "sd_vae_enc" in state or "rank_unet" in state
+
+
+def published_texts(state: Mapping[str, Any], weather: str) -> tuple[str, str]:
+    """Captions that weights were trained with; WeatherEdit has a sentence of its own for each weather."""
+    a2b, b2a = CAPTIONS
+    return (WEATHEREDIT_CAPTION.format(weather) if "sd_rainy_encoder" in state else a2b), b2a
+
+
+def read_published(state: Mapping[str, Any], model: CycleGanTurbo, source: str, weather: str = "rainy") -> TurboDelta:
+    """Weights of a checkpoint.
+
+    Args:
+        state: What the file holds.
+        model: What they are for; it says which layers there are.
+        source: The file, for messages.
+        weather: Which additions to take where there are several.
+
+    Raises ValueError for missing and unknown keys and other shapes, naming the first.
+    """
+    several = [each for each in WEATHERS if f"sd_{each}_encoder" in state]
+    if several and weather not in several:
+        raise ValueError(f"{source}: holds {', '.join(several)}, not {weather!r}")
+    parts = [(key.replace("sd_", f"sd_{weather}_") if several else key, names) for key, names in _UNET_PARTS]
+    _check_top(state, [key for pair in parts for key in pair], source, several)
+    additions: dict[str, LowRank] = {}
+    for key, names in parts:
+        additions |= _unet_additions(state[key], state[names], f"{source}: {key}", int(state["rank_unet"]))
+    vae_additions, replaced = _autoencoders(state, model, source)
+    fourth = replaced["vae.encoder.conv_in.weight"].shape[1] > 3
+    return TurboDelta(
+        source, additions | vae_additions, replaced, "mask" if fourth else "", texts=published_texts(state, weather)
+    )
+
+
+def _check_top(state: Mapping[str, Any], keys: list[str], source: str, several: list[str]) -> None:
+    wanted = {*keys, *_OTHERS}
+    allowed = {f"sd_{each}_{part}" for each in several for part in ("encoder", "decoder", "other")}
+    # A plain value that is not known tells something about the training; tensors would be weights, lost unseen.
+    heavy = {key for key, value in state.items() if isinstance(value, Mapping) or hasattr(value, "shape")}
+    check_names((set(state) & wanted) | (heavy - allowed), wanted, source)
+
+
+def _unet_additions(state: Mapping[str, Any], layers: list[str], where: str, rank: int) -> dict[str, LowRank]:
+    check_names(state, [f"{layer}.lora_{factor}.weight" for layer in layers for factor in "AB"], where)
+    additions: dict[str, LowRank] = {}
+    for layer in layers:
+        down, up = state[f"{layer}.lora_A.weight"], state[f"{layer}.lora_B.weight"]
+        if down.shape[0] != rank:
+            raise ValueError(f"{where}: {layer!r} has rank {down.shape[0]}, not rank_unet, which is {rank}")
+        additions[f"unet.{layer}"] = LowRank(down, up, 1.0)
+    return additions
+
+
+def _autoencoders(
+    state: Mapping[str, Any], model: CycleGanTurbo, source: str
+) -> tuple[dict[str, LowRank], dict[str, Any]]:
+    """Additions and whole tensors of both autoencoders, which the file holds twice: the later one counts."""
+    layers = [name.removeprefix("vae.") for name in plain_layers(model) if name.startswith("vae.")]
+    adapted = targeted(layers, state["vae_lora_target_modules"])
+    wanted = {prefix + _stored(name, adapted) for prefix in _VAES for name in _vae_tensors(model)}
+    wanted |= {f"{prefix}{layer}.{_factor(f)}" for prefix in _VAES for layer in adapted for f in "AB"}
+    for key in ("sd_vae_enc", "sd_vae_dec"):
+        check_names(state[key], wanted, f"{source}: {key}")
+    found = state["sd_vae_dec"]
+    replaced = {p + name: found[p + _stored(name, adapted)] for p in _VAES for name in _vae_tensors(model)}
+    scale = VAE_ALPHA / int(state["rank_vae"])
+    additions = {
+        p + layer: LowRank(found[f"{p}{layer}.{_factor('A')}"], found[f"{p}{layer}.{_factor('B')}"], scale)
+        for p in _VAES
+        for layer in adapted
+    }
+    return additions, replaced
+
+
+def _vae_tensors(model: CycleGanTurbo) -> list[str]:
+    return [name.removeprefix("vae.") for name in plain_tensors(model) if name.startswith("vae.")]
+
+
+def _factor(letter: str) -> str:
+    return f"lora_{letter}.{VAE_ADAPTER}.weight"
+
+
+def _stored(name: str, adapted: list[str]) -> str:
+    """Name of a tensor in a layer that peft has wrapped."""
+    layer, _, tensor = name.rpartition(".")
+    return f"{layer}.base_layer.{tensor}" if layer in adapted else name
+
+
+# § LoRA files of diffusers (pytorch_lora_weights.safetensors), and of kohya's scripts: additions to the UNet alone.
+
+_PREFIX = "unet."
+
+_FLAT_PREFIX = "lora_unet_"
+
+_DIFFUSERS_FACTORS = {
+    "lora_A.weight": "down", "lora_B.weight": "up",
+    "lora.down.weight": "down", "lora.up.weight": "up",
+    "lora_down.weight": "down", "lora_up.weight": "up",
+    "alpha": "alpha",
+}  # fmt: skip
+
+_ENDING = re.compile(rf"\.({'|'.join(map(re.escape, _DIFFUSERS_FACTORS))})$")
+
+_METADATA = "lora_adapter_metadata"
+"""Where diffusers writes peft's settings, in JSON."""
+
+
+def is_diffusers_lora(names: Mapping[str, Any]) -> bool:
+    """Whether the tensors of a file are named as those of a LoRA."""
+    return any(name.startswith((_PREFIX, _FLAT_PREFIX)) and _ENDING.search(name) for name in names)
+
+
+def read_diffusers_lora(
+    tensors: Mapping[str, Tensor], metadata: Mapping[str, str], model: CycleGanTurbo, source: str
+) -> TurboDelta:
+    """Additions of a LoRA file: scaled by alpha / rank where it tells alpha, else once.
+
+    Raises ValueError, naming the first key, for parts that don't belong to the UNet and for factors without the other.
+    """
+    layers = {name.removeprefix(_PREFIX) for name in plain_layers(model) if name.startswith(_PREFIX)}
+    shapes = {name: tuple(tensor.shape) for name, tensor in plain_tensors(model).items()}
+    flat = {layer.replace(".", "_"): layer for layer in layers}
+    found: dict[str, dict[str, Tensor]] = {}
+    for name, tensor in tensors.items():
+        layer, factor = _named(name, layers, flat, source)
+        found.setdefault(layer, {})[factor] = tensor
+    settings = _settings(metadata, source)
+    additions: dict[str, LowRank] = {}
+    for layer, factors in found.items():
+        for missing in {"down", "up"} - set(factors):
+            raise ValueError(f"{source}: {layer!r} lacks its factor {missing!r}")
+        rank = factors["down"].shape[0]
+        alpha = float(factors["alpha"]) if "alpha" in factors else _alpha(settings, layer, rank)
+        weight = _as_layer(factors, shapes[f"{_PREFIX}{layer}.weight"])
+        additions[_PREFIX + layer] = LowRank(*weight, alpha / rank)
+    return TurboDelta(source, additions, {})
+
+
+def _named(name: str, layers: set[str], flat: Mapping[str, str], source: str) -> tuple[str, str]:
+    ending = _ENDING.search(name)
+    stem = name[: ending.start()] if ending else name
+    # Before diffusers had peft, attention's additions were called after its processor.
+    stem = re.sub(r"\.processor\.(to_[qkv]|to_out)_lora$", lambda m: f".{_OUT.get(m[1], m[1])}", stem)
+    layer = stem.removeprefix(_PREFIX) if stem.startswith(_PREFIX) else flat.get(stem.removeprefix(_FLAT_PREFIX), "")
+    if ending is None or layer not in layers:
+        raise ValueError(f"{source}: {name!r} is no addition to a layer of this UNet")
+    return layer, _DIFFUSERS_FACTORS[ending[1]]
+
+
+_OUT = {"to_out": "to_out.0"}
+
+
+def _as_layer(factors: Mapping[str, Tensor], shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
+    """Factors as the layer's own kind: files hold linear layers as 1x1 convolutions too."""
+    down, up = factors["down"], factors["up"]
+    if len(shape) == 2:
+        return down.flatten(1), up.flatten(1)
+    return down, up
+
+
+def _settings(metadata: Mapping[str, str], source: str) -> Mapping[str, Any]:
+    try:
+        settings: Any = json.loads(metadata.get(_METADATA, "{}"))
+    except ValueError as error:
+        raise ValueError(f"{source}: {_METADATA} in its header is not readable JSON: {error}") from error
+    return {key.removeprefix(_PREFIX): value for key, value in settings.items() if key.startswith(_PREFIX)}
+
+
+def _alpha(settings: Mapping[str, Any], layer: str, rank: int) -> float:
+    pattern: Mapping[str, float] = settings.get("alpha_pattern") or {}
+    for ending, alpha in pattern.items():
+        if layer == ending or layer.endswith(f".{ending}"):
+            return float(alpha)
+    return float(settings.get("lora_alpha", rank))
+
+
+# § Puts the fields in the header of a .safetensors in order: the library writes them in another one every time.
+
+_LENGTH_BYTES = 8
+
+
+def sort_header(file: Path) -> None:
+    """Rewrite the header in place, so that the same weights are the same bytes; where tensors lie stays as it is."""
+    with file.open("r+b") as stream:
+        length = int.from_bytes(stream.read(_LENGTH_BYTES), "little")
+        header: dict[str, Any] = json.loads(stream.read(length))
+        fields = dict(sorted(header.pop("__metadata__", {}).items()))
+        text = json.dumps({"__metadata__": fields, **header}, separators=(",", ":"), ensure_ascii=False).encode()
+        if len(text) > length:
+            raise ValueError(f"{file}: its header can't be written in {length} bytes")
+        stream.seek(_LENGTH_BYTES)
+        stream.write(text.ljust(length))

@@ -1,6 +1,7 @@
 """Scene files: readers, writers, and the one table of formats."""
 
-from .gaussian_files import FORMATS, Format
+from ._common import Format
+from .registry import FORMATS
 from .scene_files import read_scene, write_scene
 
 __all__ = ["FORMATS", "Format", "read_scene", "write_scene"]

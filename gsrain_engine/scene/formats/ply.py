@@ -1,36 +1,42 @@
 """The PLY file of 3D Gaussian Splatting (Kerbl et al. 2023): logs, logits and harmonics as 32-bit floats."""
 
+import logging
+import os
 import re
 from io import BufferedReader
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, NamedTuple, no_type_check
 
+import numba
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int64, UInt
 
-from gsrain_engine.untrusted.limits import open_file
-
-from ..errors import SceneFormatError
-from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
-from .checks import check_finite, checked_gaussians
-from .compressed_ply import is_compressed, read_compressed
-from .memory import check_room
-from .ply_header import PlyElement, element_rows, read_ply_header
-from .ply_rows import spread_rows
+from ...safe_io.limits import open_file
+from ..files import SceneFormatError
+from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians
+from ._common import check_finite, check_room, checked_gaussians, with_largest
 
 _MEANS = ("x", "y", "z")
+
 _BASE_SH = ("f_dc_0", "f_dc_1", "f_dc_2")
+
 _SCALES = ("scale_0", "scale_1", "scale_2")
+
 _QUATERNIONS = ("rot_0", "rot_1", "rot_2", "rot_3")
+
 _REQUIRED = (*_MEANS, *_BASE_SH, "opacity", *_SCALES, *_QUATERNIONS)
+
 _NORMALS = ("nx", "ny", "nz")
 """Written as zeros, as by 3DGS itself: some readers count properties instead of reading their names."""
 
 _CHUNK_BYTES = 1 << 18
 """Rows are read and spread over the arrays in pieces that stay in the processor's cache."""
+
 _CHUNK_LINES = 1024
+
 _LONGEST_LINE = 1 << 14
 """Bytes; a Gaussian of SH degree 3 has some 700."""
+
 _Arrays = tuple[
     Float32[np.ndarray, "n 3"],
     Float32[np.ndarray, "n 3"],
@@ -42,6 +48,7 @@ _Arrays = tuple[
 
 _LARGEST_LOGIT = 100.0
 """Written for an opacity of 1 or 0, whose logit is infinite: it gives just 1 or 0 back in 32-bit floats."""
+
 _SMALLEST_SCALE = np.float32(1e-37)
 """Written for a scale of 0, whose logarithm is infinite."""
 
@@ -76,6 +83,27 @@ def write_ply(gaussians: Gaussians, path: Path) -> None:
         file.write(header.encode())
         for start in range(0, len(gaussians), rows):
             file.write(_rows(gaussians.take(slice(start, start + rows))).data)
+
+
+# § Headers of PLY files: which elements there are, where each begins and how one of its rows is laid out.
+
+
+class PlyElement(NamedTuple):
+    """One kind of row in a PLY file."""
+
+    name: str
+    rows: int
+    dtype: "np.dtype[Any] | None"
+    """Fields of a row; None where it has lists, whose rows differ in length."""
+    offset: int | None
+    """Byte in the file where its first row begins; None where that can't be known without reading lists or text."""
+    is_text: bool = False
+    """Whether its rows are lines of text; the fields of a row then only say what stands in which column."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all its rows, 0 where they have lists."""
+        return self.rows * self.dtype.itemsize if self.dtype is not None else 0
 
 
 def _read_vertices(path: Path, file: BufferedReader, elements: dict[str, PlyElement]) -> Gaussians:
@@ -203,3 +231,312 @@ def _rows(gaussians: Gaussians) -> Float32[np.ndarray, "n p"]:
         gaussians.quaternions,
     )
     return np.concatenate(columns, axis=1, dtype="<f4")
+
+
+logger = logging.getLogger("gsrain")
+
+_LARGEST_HEADER = 1 << 20
+"""Bytes in which `end_header` must come; real headers have 2 KB."""
+
+_DIGITS = 20
+"""Digits of a count that are read: more rows than any file has, and no number that takes long to read."""
+
+_TEXT = "ascii"
+
+_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", _TEXT: "<"}
+
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
+    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+
+
+def read_ply_header(path: Path, file: BinaryIO) -> dict[str, PlyElement]:
+    """Read the header of a PLY file and check that the file has room for the rows that it lists.
+
+    Of a text (ascii) `file` stands at the first row afterwards.
+
+    Raises:
+        SceneFormatError: When the file is no PLY, has a damaged header, or is shorter than its header says.
+    """
+    lines, size = _header_lines(path, file)
+    kind = _format(path, lines)
+    elements = _elements(path, lines, _BYTE_ORDERS[kind], size)
+    if kind == _TEXT:
+        elements = [element._replace(is_text=True, offset=None) for element in elements]
+        file.seek(size)
+    _check_size(path, elements, size, os.fstat(file.fileno()).st_size)
+    return {element.name: element for element in elements}
+
+
+def element_rows(path: Path, element: PlyElement) -> tuple["np.dtype[Any]", int]:
+    """Layout of an element's rows and the byte where they begin; refuses what lists make unreadable."""
+    if element.is_text:
+        raise SceneFormatError(path, f"element {element.name!r} is text (format ascii), it must be binary")
+    if element.dtype is None:
+        raise SceneFormatError(path, f"element {element.name!r} has a list property, a Gaussian has only numbers")
+    if element.offset is None:
+        raise SceneFormatError(path, f"element {element.name!r} must stand before elements with list properties")
+    return element.dtype, element.offset
+
+
+def _header_lines(path: Path, file: BinaryIO) -> tuple[list[list[str]], int]:
+    """Words of every line after the first, and the size of the header in bytes."""
+    start = file.read(_LARGEST_HEADER)
+    if not start.startswith((b"ply\n", b"ply\r\n")):
+        raise SceneFormatError(path, "not a PLY file: it must start with the line 'ply'")
+    mark = start.find(b"\nend_header")
+    end = start.find(b"\n", mark + 1)
+    if mark < 0 or end < 0 or start[mark:end].strip() != b"end_header":
+        raise SceneFormatError(path, f"the PLY header has no line 'end_header' in its first {len(start)} bytes")
+    text = start[:mark].decode("utf-8", errors="replace")
+    return [line.split() for line in text.splitlines()[1:]], end + 1
+
+
+def _format(path: Path, lines: list[list[str]]) -> str:
+    formats = [words[1] for words in lines if words[:1] == ["format"] and len(words) > 1]
+    if len(formats) != 1 or formats[0] not in _BYTE_ORDERS:
+        found = ", ".join(formats) or "none"
+        raise SceneFormatError(
+            path, f"the PLY header must hold one line 'format binary_little_endian 1.0', not {found}"
+        )
+    return formats[0]
+
+
+def _elements(path: Path, lines: list[list[str]], byte_order: str, header_size: int) -> list[PlyElement]:
+    counts: dict[str, int] = {}
+    fields: dict[str, dict[str, str] | None] = {}
+    name = None
+    for words in lines:
+        match words:
+            case ["element", name, count] if name not in counts and count.isascii() and count.isdigit():
+                counts[name], fields[name] = int(count[:_DIGITS]), {}
+            case ["property", "list", *_] if name is not None:
+                fields[name] = None
+            case ["property", kind, field] if name is not None and kind in _TYPES:
+                _add_field(path, fields[name], field, byte_order + _TYPES[kind])
+            case [] | ["format" | "comment" | "obj_info", *_]:
+                pass
+            case _:
+                raise SceneFormatError(path, f"the PLY header has a line that makes no sense: {' '.join(words)[:80]!r}")
+    elements: list[PlyElement] = []
+    offset: int | None = header_size
+    for name, count in counts.items():
+        found = fields[name]
+        element = PlyElement(name, count, np.dtype(list(found.items())) if found is not None else None, offset)
+        offset = offset + element.nbytes if offset is not None and element.dtype is not None else None
+        elements.append(element)
+    return elements
+
+
+def _add_field(path: Path, fields: dict[str, str] | None, name: str, kind: str) -> None:
+    if fields is None:
+        return
+    if name in fields:
+        raise SceneFormatError(path, f"the PLY header lists property {name!r} twice")
+    fields[name] = kind
+
+
+def _check_size(path: Path, elements: list[PlyElement], header_size: int, file_size: int) -> None:
+    """Refuse a file too short for its header; one that is longer exists in the wild (rows cut by editing the count)."""
+    is_text = any(element.is_text for element in elements)
+    expected = header_size + sum(_text_bytes(element) if is_text else element.nbytes for element in elements)
+    rows = ", ".join(f"{element.rows} {element.name}" for element in elements)
+    if file_size < expected:
+        raise SceneFormatError(
+            path,
+            f"the header lists {rows}, which takes {'at least ' * is_text}{expected} bytes; the file has {file_size}: "
+            "it is cut off or its counts are wrong",
+        )
+    if file_size > expected and not is_text and all(element.dtype is not None for element in elements):
+        logger.warning("%s: %d bytes follow the rows that the header lists (%s)", path, file_size - expected, rows)
+
+
+def _text_bytes(element: PlyElement) -> int:
+    """Fewest bytes of its rows as text: a digit a number and a sign that ends it, the last one of the file aside."""
+    return max(0, 2 * element.rows * (1 if element.dtype is None else len(element.dtype.names or ())) - 1)
+
+
+# § Rows of numbers as a PLY file has them, spread over the arrays of Gaussians.
+
+
+def spread_rows(
+    rows: Float32[np.ndarray, "r p"],
+    columns: Int64[np.ndarray, " c"],
+    means: Float32[np.ndarray, "r 3"],
+    scales: Float32[np.ndarray, "r 3"],
+    quaternions: Float32[np.ndarray, "r 4"],
+    opacities: Float32[np.ndarray, " r"],
+    sh: Float32[np.ndarray, "r k 3"],
+) -> None:
+    """Copy numbers into arrays, each row at once.
+
+    Args:
+        rows: What the file holds.
+        columns: Where in a row stands what goes into the arrays, one after the other and in their own order in memory.
+        means: To be filled, as are those after it.
+        scales: As the file has them.
+        quaternions: As the file has them.
+        opacities: As the file has them.
+        sh: Harmonics.
+    """
+    _spread(rows, columns, means, scales, quaternions, opacities, sh.reshape(len(sh), 3 * sh.shape[1]))
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _spread(rows, columns, means, scales, quaternions, opacities, sh):
+    """Row by row what is read and written lies together; column by column every number is a cache line of its own."""
+    for n in range(len(rows)):
+        for i in range(3):
+            means[n, i] = rows[n, columns[i]]
+            scales[n, i] = rows[n, columns[3 + i]]
+        for i in range(4):
+            quaternions[n, i] = rows[n, columns[6 + i]]
+        opacities[n] = rows[n, columns[10]]
+        for i in range(sh.shape[1]):
+            sh[n, i] = rows[n, columns[11 + i]]
+
+
+# § SuperSplat's compressed PLY: 16 bytes a Gaussian, quantized within the bounds of chunks of 256.
+
+_CHUNK = 256
+"""Gaussians that share one row of bounds."""
+
+_PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+
+_MEANS_BITS = (11, 10, 11)
+
+_COLOR_BITS = (8, 8, 8, 8)
+
+_ROTATION_BITS = (2, 10, 10, 10)
+
+_SH_RANGE = 8.0
+"""Harmonics lie in -4 .. 4; bytes 0 and 255 are the ends, the others the middles of 256 steps."""
+
+
+def is_compressed(elements: dict[str, PlyElement]) -> bool:
+    vertex = elements.get("vertex")
+    return "chunk" in elements and vertex is not None and _PACKED[0] in _names(vertex.dtype)
+
+
+def read_compressed(path: Path, file: BufferedReader, elements: dict[str, PlyElement]) -> Gaussians:
+    """Read the Gaussians of a compressed PLY whose header has been read already.
+
+    Layout as SuperSplat and splat-transform (PlayCanvas, MIT) write it: element `chunk` with bounds of means, of
+    logarithms of scales and, in newer files, of colours; `vertex` with four 32-bit words; optional `sh` with a byte a
+    coefficient.
+
+    Raises:
+        SceneFormatError: When a property is missing, counts contradict one another or bounds are not finite.
+    """
+    check_room(path, elements["vertex"].rows, COEFFICIENTS_OF_DEGREE[-1] if "sh" in elements else 1)
+    rows = _read(path, file, elements["vertex"], _PACKED)
+    packed = {name: _unsigned(path, rows, name, "uint32") for name in _PACKED}
+    chunk = elements["chunk"]
+    n = elements["vertex"].rows
+    if chunk.rows != -(-n // _CHUNK):
+        raise SceneFormatError(path, f"{n} Gaussians need {-(-n // _CHUNK)} chunks, the header lists {chunk.rows}")
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too large becomes infinite, and is named at the end
+        bounds = _Bounds(path, file, chunk)
+        means = bounds.between(_fractions(packed["packed_position"], _MEANS_BITS), "x", "y", "z")
+        logs = bounds.between(_fractions(packed["packed_scale"], _MEANS_BITS), "scale_x", "scale_y", "scale_z")
+        colors = _fractions(packed["packed_color"], _COLOR_BITS)
+        opacities = np.ascontiguousarray(colors[:, 3])
+        base = colors[:, :3]
+        if bounds.has_colors:
+            base = bounds.between(base, "r", "g", "b")
+        sh = _read_sh(path, file, elements.get("sh"), n)
+        sh[:, 0] = (base - np.float32(0.5)) / np.float32(SH_C0)
+        check_finite(path, {"logarithm of a scale": logs})
+        np.exp(logs, out=logs)
+    return checked_gaussians(path, means, logs, _quaternions(packed["packed_rotation"]), opacities, sh)
+
+
+class _Bounds:
+    """Rows of element `chunk`: the range that each value of up to 256 Gaussians lies in."""
+
+    def __init__(self, path: Path, file: BufferedReader, chunk: PlyElement) -> None:
+        self.has_colors = chunk.dtype is not None and "min_r" in _names(chunk.dtype)
+        values = ["x", "y", "z", "scale_x", "scale_y", "scale_z", *("rgb" if self.has_colors else "")]
+        self._rows = _read(path, file, chunk, tuple(f"{end}_{value}" for value in values for end in ("min", "max")))
+
+    def between(self, fractions: Float32[np.ndarray, "n 3"], *values: str) -> Float32[np.ndarray, "n 3"]:
+        """Interpolate between the bounds of each Gaussian's chunk."""
+        low, high = (
+            np.stack([self._rows[f"{end}_{value}"].astype(np.float32) for value in values], axis=-1)
+            for end in ("min", "max")
+        )
+        chunk = np.arange(len(fractions)) // _CHUNK
+        return low[chunk] * (1 - fractions) + high[chunk] * fractions
+
+
+def _read(
+    path: Path, file: BufferedReader, element: PlyElement, needed: tuple[str, ...]
+) -> "np.ndarray[Any, np.dtype[Any]]":
+    dtype, offset = element_rows(path, element)
+    missing = [name for name in needed if name not in _names(dtype)]
+    if missing:
+        raise SceneFormatError(path, f"element {element.name!r} of a compressed PLY lacks {', '.join(missing)}")
+    file.seek(offset)
+    data = file.read(element.nbytes)
+    if len(data) != element.nbytes:
+        raise SceneFormatError(path, "the file became shorter while it was read")
+    return np.frombuffer(data, dtype)
+
+
+def _unsigned(path: Path, rows: "np.ndarray[Any, np.dtype[Any]]", name: str, kind: str) -> UInt[np.ndarray, " n"]:
+    """One property, in this machine's byte order; `kind` is the type that holds the packed bits."""
+    if rows[name].dtype.newbyteorder("=") != kind:
+        raise SceneFormatError(path, f"property {name} of a compressed PLY must be {kind}, not {rows[name].dtype}")
+    return rows[name].astype(kind)
+
+
+def _read_sh(path: Path, file: BufferedReader, element: PlyElement | None, n: int) -> Float32[np.ndarray, "n k 3"]:
+    """Read the harmonics of all degrees; degree 0 is left unset."""
+    if element is None:
+        return np.empty((n, 1, 3), np.float32)
+    count = sum(name.startswith("f_rest_") for name in _names(element.dtype))
+    expected = {3 * (coefficients - 1): coefficients for coefficients in COEFFICIENTS_OF_DEGREE}
+    if count not in expected or element.rows != n:
+        raise SceneFormatError(
+            path, f"element 'sh' has {element.rows} rows of {count} f_rest_*: expected {n} rows of 0, 9, 24 or 45"
+        )
+    rows = _read(path, file, element, tuple(f"f_rest_{i}" for i in range(count)))
+    sh = np.empty((n, expected[count], 3), np.float32)
+    rest = expected[count] - 1
+    for channel in range(3):
+        for k in range(rest):
+            sh[:, 1 + k, channel] = _SH_OF_BYTE[_unsigned(path, rows, f"f_rest_{channel * rest + k}", "uint8")]
+    return sh
+
+
+def _sh_of_byte() -> Float32[np.ndarray, "256"]:
+    middles = (np.arange(256, dtype=np.float32) + np.float32(0.5)) / 256
+    middles[0], middles[255] = 0, 1
+    return (middles - np.float32(0.5)) * np.float32(_SH_RANGE)
+
+
+_SH_OF_BYTE = _sh_of_byte()
+
+
+def _fractions(words: UInt[np.ndarray, " n"], bits: tuple[int, ...]) -> Float32[np.ndarray, "n f"]:
+    """Cut words into fields from the top bit down, each as a fraction 0 .. 1 of its largest value."""
+    fields = np.empty((len(words), len(bits)), np.float32)
+    shift = sum(bits)
+    for i, size in enumerate(bits):
+        shift -= size
+        fields[:, i] = ((words >> np.uint32(shift)) & np.uint32((1 << size) - 1)) / np.float32((1 << size) - 1)
+    return fields
+
+
+def _quaternions(words: UInt[np.ndarray, " n"]) -> Float32[np.ndarray, "n 4"]:
+    """Which of w, x, y, z is the largest stands in the upper two bits, then the three others within +-1/sqrt(2)."""
+    others = (_fractions(words, _ROTATION_BITS)[:, 1:] - np.float32(0.5)) * np.float32(np.sqrt(2))
+    return with_largest((words >> np.uint32(30)).astype(np.int64), others)
+
+
+def _names(dtype: "np.dtype[Any] | None") -> tuple[str, ...]:
+    return (dtype.names or ()) if dtype is not None else ()

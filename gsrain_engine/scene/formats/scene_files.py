@@ -3,18 +3,17 @@
 import re
 from pathlib import Path
 
-from ..errors import SceneFormatError
-from ..flattening import FILE_UP, flattened
+from ..files import SceneFormatError
 from ..gaussians import Gaussians
-from ..members import Layer
-from ..scene import Scene
-from .gaussian_files import close_match, format_of, read_gaussians, write_gaussians
-from .known_files import KnownFiles
-from .scene_folder import SCENE_FILE, read_scene_folder, write_scene_folder
+from ..scene import Layer, Scene
+from ..transforms import FILE_UP, flattened
+from .registry import close_match, format_of, read_gaussians, write_gaussians
+from .scene_folder import SCENE_FILE, KnownFiles, read_scene_folder, write_scene_folder
 from .sog import is_sog_folder, read_sog
 
 SOG_FILE = "meta.json"
 """Description of a SOG scene that was unpacked into a folder."""
+
 INNER_SCENE = "scene"
 """Folder with the scene in one that `gsrain street` has written."""
 

@@ -5,24 +5,22 @@ import os
 import re
 import shutil
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
+import numpy as np
+from jaxtyping import Float32
 
-from gsrain_engine.untrusted.explained_errors import explained
-from gsrain_engine.untrusted.limits import read_file
-
-from ..atomic_files import sync, telling_of, whole_file, whole_folder
-from ..errors import SceneFormatError
-from ..file_lock import holding, locked
+from ...safe_io.errors import explained
+from ...safe_io.limits import open_file, read_file
+from ...safe_io.numpy_files import read_array_header
+from ..files import SceneFormatError, holding, locked, sync, telling_of, whole_file, whole_folder
 from ..gaussians import Gaussians
-from ..members import Actor, Layer
-from ..scene import Scene
-from .checks import check_finite
-from .gaussian_files import check_writable, read_gaussians
-from .harmonics_file import SUFFIX, read_harmonics, write_harmonics
-from .known_files import Contents, KnownFiles
+from ..scene import Actor, Layer, Scene
+from ._common import check_finite
 from .ply import write_ply
-from .scene_record import SCENE_VERSION, SceneRecord, places_not_finite, record_of, scene_of
+from .registry import check_writable, read_gaussians
+from .scene_json import SCENE_VERSION, SceneRecord, places_not_finite, record_of, scene_of
 
 SCENE_FILE = "scene.json"
 
@@ -39,6 +37,49 @@ class _Version(msgspec.Struct):
 
 class _Order(msgspec.Struct):
     in_drawing_order: bool = False
+
+
+# § Which files of scene folders hold which Gaussians or wet colours: what has not changed need not be written again.
+
+Contents = Gaussians | Float32[np.ndarray, "_ _ 3"]
+"""What one file holds: Gaussians, or harmonics by themselves. Both are values."""
+
+
+class _Kept(NamedTuple):
+    contents: Contents
+    path: Path
+    state: tuple[int, int, int]
+
+
+class KnownFiles:
+    """What was last read from, or written to, each folder. For one thread at a time.
+
+    The very same value has the very same bytes; a file that someone else has changed since is not trusted. Holds on to
+    the values, which their scene does anyway, until the folder is written again.
+    """
+
+    def __init__(self) -> None:
+        self._folders: dict[Path, list[_Kept]] = {}
+
+    def remember(self, folder: Path, kept: list[tuple[Contents, Path]]) -> None:
+        """Say which files of a folder hold which values; what was said of this folder before is forgotten."""
+        self._folders[folder.resolve()] = [_Kept(contents, path, _state(path)) for contents, path in kept]
+
+    def forget(self, folder: Path) -> None:
+        """Trust no file of a folder any more."""
+        self._folders.pop(folder.resolve(), None)
+
+    def file_in(self, folder: Path, contents: Contents, taken: set[Path]) -> Path | None:
+        """File of this folder with these very values, but for those that are taken; None where there is none."""
+        files = self._files(self._folders.get(folder.resolve(), []), contents)
+        return next((path for path in files if path not in taken), None)
+
+    def file_anywhere(self, contents: Contents) -> Path | None:
+        """File of any folder with these very values; None where there is none."""
+        return next((path for kept in self._folders.values() for path in self._files(kept, contents)), None)
+
+    def _files(self, kept: list[_Kept], contents: Contents) -> list[Path]:
+        return [each.path for each in kept if each.contents is contents and _is_as_it_was(each)]
 
 
 def read_scene_folder(folder: Path, known: KnownFiles | None = None) -> Scene:
@@ -317,3 +358,46 @@ def _link(place: Path) -> str:
 def _is_own(folder: Path, file: Path) -> bool:
     """Whether a file, or a link, lies in the folder itself: not in one elsewhere that a link leads to."""
     return file.parent.resolve().is_relative_to(folder)
+
+
+def _is_as_it_was(kept: _Kept) -> bool:
+    try:
+        return _state(kept.path) == kept.state
+    except OSError:
+        return False
+
+
+def _state(path: Path) -> tuple[int, int, int]:
+    status = path.stat()
+    return status.st_mtime_ns, status.st_size, status.st_ino
+
+
+# § Spherical harmonics by themselves, as a NumPy array file (.npy, version 1.0): the wet colours of a layer or actor.
+
+SUFFIX = ".wet.npy"
+
+
+def read_harmonics(path: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "n k 3"]:
+    """Read harmonics of a shape (n, k, 3) that is known before: that of the clear colours.
+
+    Raises:
+        SceneFormatError: When the file is damaged, holds something else or another shape.
+    """
+    with open_file(path) as file:
+        try:
+            found, is_fortran, dtype = read_array_header(file)
+        except ValueError as error:
+            raise SceneFormatError(path, f"no array file of wet colours: {error}") from None
+        if dtype != np.dtype("<f4") or is_fortran or found != shape:
+            order = " in Fortran's order" if is_fortran else ""
+            raise SceneFormatError(path, f"holds {dtype} {found}{order}, expected float32 {shape} as the clear colours")
+        sh = np.empty(shape, np.float32)
+        if file.readinto(sh.view(np.uint8).reshape(-1).data) != sh.nbytes or file.read(1):
+            raise SceneFormatError(path, f"does not end after the {sh.nbytes:,} bytes that {shape} numbers take")
+    check_finite(path, {"wet colour": sh})
+    return sh
+
+
+def write_harmonics(sh: Float32[np.ndarray, "n k 3"], path: Path) -> None:
+    with path.open("wb") as file:
+        np.lib.format.write_array(file, np.ascontiguousarray(sh, "<f4"), version=(1, 0), allow_pickle=False)

@@ -8,34 +8,42 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from gsrain_engine.untrusted.limits import read_file
-
-from ..errors import SceneFormatError
+from ...safe_io.limits import read_file
+from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
-from .bounded import check_expansion, gunzip, gunzip_start, unzstd
-from .checks import checked_gaussians
-from .smallest_three import with_largest, without_largest
+from ._common import check_expansion, checked_gaussians, gunzip, gunzip_start, unzstd, with_largest, without_largest
 
 _MAGIC = b"NGSP"
+
 _GZIP_MAGIC = b"\x1f\x8b"
+
 _HEADER = struct.Struct("<4sIIBBBB")
 """Magic, version, number of Gaussians, SH degree, fractional bits, flags, number of streams (0 before version 4)."""
+
 _CONTENTS_OFFSET = struct.Struct("<I12x")
 """What follows the header in version 4: where the table of contents is."""
+
 _STREAM_SIZES = struct.Struct("<QQ")
 """One entry of that table: compressed and unpacked size of a stream in bytes."""
+
 _EXTENSIONS_FLAG = 2
+
 _EXTENSIONS_BYTES = 2**20
 """Vendors' extensions, camera limits and the like, follow the Gaussians in versions 2 and 3; we leave them unread."""
+
 _FRACTIONAL_BITS = 23
 """Most that a 24-bit fixed-point coordinate can have besides its sign."""
+
 _WRITTEN_FRACTIONAL_BITS = 16
 """Finest step we write: 15 micrometres in a scene in metres."""
+
 _COLOR_SCALE = 0.15
 """SPZ stores sh[0] * 0.15 + 0.5 as colour, so that colours from -0.44 to 1.44 fit, not 0 to 1."""
 
 _POINT_FLIP = np.array([1, -1, -1], np.float32)
+
 _XYZW_FLIP = np.array([1, -1, -1, 1], np.float32)
+
 _SH_FLIP = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
 """SPZ axes are right, up, back; those of PLY, which are ours, right, down, front: half a turn about x.
 
@@ -43,8 +51,11 @@ It negates y and z, and every harmonic that is odd in y and z together.
 """
 
 _SCALES = np.exp(np.arange(256, dtype=np.float32) / 16 - 10)
+
 _OPACITIES = np.arange(256, dtype=np.float32) / 255
+
 _BASE_SH = ((np.arange(256) / 255 - 0.5) / _COLOR_SCALE).astype(np.float32)
+
 _REST_ZERO, _REST_STEP = np.float32(128), np.float32(1 / 128)
 """Of harmonics above degree 0: the byte that means 0, and what one more means; a power of 2, so that nothing rounds."""
 

@@ -2,34 +2,100 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Float32, Float64
 
-from ..members import Actor, Layer
-from ..scene import Scene
-from ..track import Track
-from .cars import CAR_FORMS, build_car, build_parked_cars, car_shadow
-from .daylight import Daylight
-from .furniture import build_furniture
-from .houses import build_houses
-from .layout import StreetLayout, plan_street
-from .parameters import StreetParameters
-from .parked_vehicles import PARKED_CARS, PARKED_TRUCKS
-from .parking import CarShape
-from .pavements import build_pavements
-from .quads import Quads
-from .rigs import SENSOR_HEIGHT_M, street_rigs
-from .road import build_road
-from .sky import build_sky
-from .splatting import gaussians_of
-from .surroundings import build_surroundings
-from .trees import build_trees
+from ..camera import DEFAULT_EXPOSURE_S
+from ..gaussians import SH_C0, Gaussians
+from ..geometry import linear_to_srgb, quaternions_from_matrices
+from ..scene import Actor, Layer, RigCamera, Scene, Track
+from .buildings import build_houses
+from .cars import CAR_FORMS, TRUCK_FORM, build_car, build_parked_cars, car_shadow
+from .ground import build_pavements, build_road, build_surroundings
+from .layout import CarShape, Label, StreetLayout, StreetParameters, plan_street
+from .mesh import Quads, geometric_normals, rotation_about_z
+from .shadows import ground_occlusion, sun_visibility
 from .trucks import build_parked_trucks
+from .vegetation import build_furniture, build_sky, build_trees, sky_display
 
 LEAD_ID = "lead"
+
 _LEAD_SHAPE: CarShape = "saloon"
+
 _LEAD_PAINT = (0.014, 0.034, 0.075)
+
 _TRACK_STEP_S = 0.1
+
+# § Daylight baked into the street: one sun with shadows, the sky's ambient light, light from the ground.
+
+
+@dataclass(frozen=True, slots=True)
+class Daylight:
+    """Where the sun stands and what stands in its way; without a layout the object stands in the open."""
+
+    sun: Float64[np.ndarray, "3"]
+    """Unit vector towards the sun."""
+    layout: StreetLayout | None = None
+    seed: int = 0
+
+    @classmethod
+    def over(cls, parameters: StreetParameters, layout: StreetLayout | None = None) -> "Daylight":
+        azimuth, elevation = np.radians(parameters.sun_azimuth_deg), np.radians(parameters.sun_elevation_deg)
+        sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
+        return cls(sun, layout, parameters.seed)
+
+    def display_colors(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
+        """Matte display colour (0..1) of each quad, lit as at `points` (its centre, or one of its corners)."""
+        if len(quads) and quads.labels[0] == Label.SKY:
+            return self._sky(points)
+        normals = quads.normals.astype(np.float64)
+        facing = np.maximum(normals @ self.sun, 0)
+        leaf = quads.labels == Label.VEGETATION  # leaves glow when the sun is behind them
+        facing = np.where(leaf, 0.30 + 0.62 * facing, facing)
+        visible = quads.sun_access.astype(np.float64)
+        ambient = quads.sky_access.astype(np.float64)
+        if self.layout is not None:
+            lit = (facing * visible) > 1e-3
+            visible[lit] *= sun_visibility(self.layout, self.sun, points[lit], leaf[lit])
+            ambient = ambient * ground_occlusion(self.layout, points, normals)
+        up = 0.5 + 0.5 * normals[:, 2]
+        light = (facing * visible)[:, None] * _SUN_LIGHT
+        light += ambient[:, None] * (up[:, None] * _SKY_LIGHT + (1 - up)[:, None] * _GROUND_LIGHT)
+        radiance = 1 - np.exp(-_EXPOSURE * light * quads.albedo)
+        return self._hazy(linear_to_srgb(radiance), points)
+
+    def gloss_of(
+        self, normals: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "n 3 3"]]:
+        """Return what a mirror adds to the display colour: a constant, and a linear form of the viewing direction.
+
+        The mirrored direction d - 2 (d.n) n is linear in d, and so is a smooth sky seen in it: that is spherical
+        harmonics of degree 1. The form has shape (n, direction, colour).
+        """
+        n = normals.astype(np.float64)
+        flip = np.eye(3) - 2 * n[:, :, None] * n[:, None, :]
+        return _MIRRORED, flip[:, :, 2:] * _MIRRORED_UP + (flip @ self.sun)[:, :, None] * _MIRRORED_SUN
+
+    def _sky(self, points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
+        middle = 0.0
+        if self.layout is not None:
+            p = self.layout.parameters
+            middle = 0.5 * (p.start_x_m + p.end_x_m)
+        away = points - np.array([middle, 0, 0])
+        away = away / np.linalg.norm(away, axis=1, keepdims=True)
+        return sky_display(away, self.sun, self.seed).astype(np.float32)
+
+    def _hazy(self, colors: Float[np.ndarray, "n 3"], points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
+        """Let far things fade into the air; only hills are far enough to show it."""
+        if self.layout is None:
+            return colors.astype(np.float32)
+        p = self.layout.parameters
+        x = np.clip(points[:, 0], p.start_x_m, p.end_x_m)
+        far = np.hypot(points[:, 0] - x, points[:, 1])
+        part = 1 - np.exp(-np.maximum(far - 60, 0) / (0.45 * _HAZE_LENGTH_M))
+        return (colors + (_HAZE - colors) * part[:, None]).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,3 +181,172 @@ def _straight(times: np.ndarray, x: np.ndarray, y: float, z: float) -> Track:
     n = len(times)
     positions = np.stack([x, np.full(n, y), np.full(n, z)], axis=1)
     return Track(times, positions, np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), np.ones(n, bool))
+
+
+# § Quads to Gaussians: one flat Gaussian a quad, with its light baked into spherical harmonics.
+
+SH_C1 = 0.4886025119029199
+"""Spherical harmonics of degree 1, sqrt(3/(4 pi)), in the sign of 3DGS: -y, z, -x."""
+
+_THICKNESS = 0.02
+"""Standard deviation across a surface, as a share of the smaller one within it."""
+
+
+def gaussians_of(quads: Quads, light: Daylight) -> Gaussians:
+    """Turn quads into Gaussians, in order. Glossy sets get spherical harmonics of degree 1, matte ones degree 0."""
+    scales, quaternions = _ellipses(quads)
+    colors = light.display_colors(quads, quads.centers)
+    return Gaussians(quads.centers, scales, quaternions, quads.opacity, _harmonics(quads, colors, light))
+
+
+def shown_colors(
+    quads: Quads, light: Daylight, matte: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+) -> Float32[np.ndarray, "n 3"]:
+    """Display colour of quads seen along unit directions (eye to quad), as their Gaussians show it."""
+    constant, linear = light.gloss_of(quads.normals)
+    mirrored = constant + np.einsum("nd,ndc->nc", directions, linear)
+    return np.clip(matte + quads.gloss[:, None] * mirrored, 0, 1).astype(np.float32)
+
+
+def _ellipses(quads: Quads) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 4"]]:
+    """Axes of each cell: those of the covariance of a parallelogram, scaled by the cell's spread."""
+    c = quads.corners.astype(np.float64)
+    u = 0.5 * (c[:, 1] + c[:, 2] - c[:, 0] - c[:, 3]) * quads.spread[:, :1]
+    v = 0.5 * (c[:, 2] + c[:, 3] - c[:, 0] - c[:, 1]) * quads.spread[:, 1:]
+    normal = geometric_normals(c)
+    longer = np.where((np.sum(u * u, axis=1) >= np.sum(v * v, axis=1))[:, None], u, v)
+    first = longer - np.sum(longer * normal, axis=1, keepdims=True) * normal
+    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
+    second = np.cross(normal, first)
+    u1, u2, v1, v2 = (np.sum(a * b, axis=1) for a in (u, v) for b in (first, second))
+    xx, xy, yy = u1 * u1 + v1 * v1, u1 * u2 + v1 * v2, u2 * u2 + v2 * v2
+    turn = 0.5 * np.arctan2(2 * xy, xx - yy)
+    middle, swing = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    large, small = np.sqrt(middle + swing), np.sqrt(np.maximum(middle - swing, 1e-8))
+    cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    rotation = np.stack([cosine * first + sine * second, cosine * second - sine * first, normal], axis=2)
+    scales = np.stack([large, small, np.maximum(_THICKNESS * small, 5e-4)], axis=1)
+    return scales.astype(np.float32), quaternions_from_matrices(rotation).astype(np.float32)
+
+
+def _harmonics(quads: Quads, colors: Float32[np.ndarray, "n 3"], light: Daylight) -> Float32[np.ndarray, "n k 3"]:
+    if not np.any(quads.gloss > 0):
+        return ((colors - np.float32(0.5)) / np.float32(SH_C0))[:, None, :]
+    constant, linear = light.gloss_of(quads.normals)
+    sh = np.zeros((len(quads), 4, 3))
+    sh[:, 0] = (colors + quads.gloss[:, None] * constant - 0.5) / SH_C0
+    sh[:, 1:] = quads.gloss[:, None, None] * linear[:, [1, 2, 0]] * np.array([[-1.0], [1.0], [-1.0]]) / SH_C1
+    return sh.astype(np.float32)
+
+
+_SUN_LIGHT = np.array([3.05, 2.72, 2.18])
+
+_SKY_LIGHT = np.array([0.50, 0.62, 0.82])
+
+_GROUND_LIGHT = np.array([0.30, 0.27, 0.22])
+
+_EXPOSURE = 1.18
+
+_MIRRORED = np.array([0.36, 0.40, 0.45])
+"""Display colour that a mirror shows when it reflects the horizon."""
+
+_MIRRORED_UP = np.array([0.30, 0.37, 0.48])
+"""What is added where it reflects the zenith, and taken away where it reflects the road."""
+
+_MIRRORED_SUN = np.array([0.16, 0.15, 0.12])
+
+_HAZE = np.array([0.70, 0.78, 0.86])
+
+_HAZE_LENGTH_M = 1400.0
+
+# § Camera rigs of the two large driving data sets, in the ego frame (x forward, y left, z up, 1.5 m above the road).
+
+SENSOR_HEIGHT_M = 1.5
+"""Height of the ego frame's origin above the road."""
+
+# name, yaw (deg, to the left), x, y, height above the road (m), fx (px), cx, cy (px)
+_WAYMO = (
+    ("FRONT", 0.0, 1.54, -0.02, 2.12, 2059.0, 957.0, 640.0),
+    ("FRONT_LEFT", 45.0, 1.49, 0.10, 2.12, 2059.0, 960.0, 640.0),
+    ("FRONT_RIGHT", -45.0, 1.49, -0.10, 2.12, 2059.0, 963.0, 640.0),
+)
+
+# As calibrated in the sample log of 2018-07-24, places to a centimetre and angles to half a degree.
+_NUSCENES = (
+    ("CAM_FRONT", 0.0, 1.70, 0.02, 1.51, 1266.4, 816.3, 491.5),
+    ("CAM_FRONT_RIGHT", -56.0, 1.55, -0.49, 1.50, 1260.8, 808.0, 495.3),
+    ("CAM_FRONT_LEFT", 55.0, 1.52, 0.50, 1.51, 1272.6, 826.6, 479.8),
+    ("CAM_BACK", 180.0, 0.03, 0.00, 1.58, 809.2, 829.2, 481.8),
+    ("CAM_BACK_LEFT", 108.5, 1.04, 0.48, 1.59, 1256.7, 792.1, 492.8),
+    ("CAM_BACK_RIGHT", -110.5, 1.02, -0.48, 1.56, 1259.5, 807.3, 501.2),
+)
+
+_CAMERA_TO_FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""OpenCV axes to ego axes for a camera that looks straight ahead."""
+
+
+def street_rigs() -> dict[str, tuple[RigCamera, ...]]:
+    """Return the rigs by name: `waymo_front3` (three cameras ahead) and `nuscenes` (six, all around)."""
+    return {
+        "waymo_front3": tuple(_camera(row, 1920, 1280) for row in _WAYMO),
+        "nuscenes": tuple(_camera(row, 1600, 900) for row in _NUSCENES),
+    }
+
+
+def _camera(row: tuple[str, float, float, float, float, float, float, float], width: int, height: int) -> RigCamera:
+    name, yaw, x, y, above_road, f, cx, cy = row
+    return RigCamera(name, width, height, f, f, cx, cy, _pose(yaw, x, y, above_road), DEFAULT_EXPOSURE_S)
+
+
+def _pose(yaw_deg: float, x: float, y: float, above_road: float) -> Float64[np.ndarray, "4 4"]:
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_about_z(yaw_deg) @ _CAMERA_TO_FORWARD
+    matrix[:3, 3] = x, y, above_road - SENSOR_HEIGHT_M
+    return matrix
+
+
+# § Where cars and trucks stand that are parked in the built-in street: its scene has one layer of each.
+
+PARKED_CARS, PARKED_TRUCKS = "parked cars", "parked trucks"
+"""Names of the layers that show them."""
+
+
+class ParkedBox(NamedTuple):
+    """A parked vehicle as a box."""
+
+    id: str
+    class_name: str
+    """Car or truck."""
+    layer: str
+    """Name of the layer that shows it."""
+    size_lwh: tuple[float, float, float]
+    """Metres."""
+    to_street: Float64[np.ndarray, "4 4"]
+    """From the vehicle's frame (x forward, y left, z up, origin at the bottom centre) to the street's."""
+
+
+def parked_boxes(parameters: StreetParameters | None = None) -> list[ParkedBox]:
+    """Return the parked vehicles of a street, in the order of its plan: cars, then trucks."""
+    layout = plan_street(parameters or StreetParameters())
+    boxes: list[ParkedBox] = []
+    for number, car in enumerate(layout.cars):
+        form = CAR_FORMS[car.shape]
+        size = form.length, form.width, form.height
+        boxes.append(
+            ParkedBox(f"parked-{number:02d}", "car", PARKED_CARS, size, _parked_pose(car.x, car.y, car.turn_deg))
+        )
+    for number, truck in enumerate(layout.trucks):
+        size = TRUCK_FORM.length, TRUCK_FORM.width, TRUCK_FORM.height
+        boxes.append(
+            ParkedBox(
+                f"truck-{number:02d}", "truck", PARKED_TRUCKS, size, _parked_pose(truck.x, truck.y, truck.turn_deg)
+            )
+        )
+    return boxes
+
+
+def _parked_pose(x: float, y: float, turn_deg: float) -> Float64[np.ndarray, "4 4"]:
+    pose = np.eye(4)
+    pose[:3, :3] = rotation_about_z(turn_deg)
+    pose[:2, 3] = x, y
+    return pose

@@ -6,18 +6,18 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from .grids import graded_lines, patch
-from .labels import Label
-from .layout import StreetLayout
-from .parking import CarShape
-from .quads import Quads
-from .wheels import build_wheel
+from .layout import TRUCK_LENGTH_M, TRUCK_WIDTH_M, CarShape, Color, Label, StreetLayout
+from .mesh import Quads, graded_lines, patch
 
 _GLASS = (0.018, 0.02, 0.022)
+
 _TRIM = (0.022, 0.022, 0.024)
+
 _PAINT_GLOSS, _GLASS_GLOSS = 0.17, 0.36
+
 _SMOOTH = 1.1
 """Gaussians of a car are this much wider than elsewhere: paint shows every gap."""
+
 _SHADOW_HEIGHT_M = 0.06
 """High enough that shadows are sorted before the road that they darken."""
 
@@ -341,3 +341,72 @@ def _underside(form: CarForm) -> Quads:
     y = np.linspace(-0.5 * form.width + 0.12, 0.5 * form.width - 0.12, 5)
     points = np.stack(np.broadcast_arrays(x[:, None], y[None], 0.21), axis=2)
     return patch(points[::-1], 0.01, Label.CAR, sky_access=0.1, sun_access=0.0)
+
+
+# § Wheels of cars and trucks: a dish of metal in a tyre, seen from outside.
+
+TYRE = (0.018, 0.018, 0.019)
+
+RIM = (0.36, 0.36, 0.37)
+
+
+def build_wheel(radius: float, sides: int, dish: float = 0.0) -> Quads:
+    """Build the right-hand side of a wheel around its hub: the outside faces -y, the tread runs inwards to +0.19 m.
+
+    `dish` is how far the rim lies inside the tyre, in metres: trucks' twin wheels are hollow.
+    """
+    angle = np.linspace(0, 2 * np.pi, sides + 1)
+    radii = np.array([0.0, 0.06, 0.13, 0.205, 0.225, 0.275, 0.315, 0.32])
+    radii = radii * radius / 0.32
+    depth = np.array([0.035, 0.035, 0.03, 0.02, 0.0, 0.0, 0.012, 0.19])
+    depth = depth + dish * np.array([0.8, 1.0, 1.0, 1.0, 0, 0, 0, 0])
+    ring = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
+    points = radii[None, :, None] * ring[:, None] - depth[None, :, None] * np.array([0, -1.0, 0])
+    spokes = (np.arange(sides) % 4 < 2)[:, None]
+    ringed = np.arange(len(radii) - 1)[None]
+    metal = np.where(ringed == 0, 0.9, np.where(spokes & (ringed < 3), 1.0, np.where(ringed == 3, 0.95, 0.16)))
+    albedo = np.where((ringed < 4)[..., None], metal[..., None] * np.asarray(RIM), TYRE)
+    albedo = np.broadcast_to(albedo, (sides, len(radii) - 1, 3)).reshape(-1, 3)
+    return patch(points, albedo, Label.CAR, closed=True, sky_access=0.6, gloss=0.04)
+
+
+# § The outline of a delivery lorry, and the colours that its parts share.
+
+STEEL: Color = (0.10, 0.105, 0.11)
+
+DARK: Color = (0.016, 0.016, 0.018)
+
+TRIM: Color = (0.022, 0.022, 0.024)
+
+PLATE: Color = (0.78, 0.78, 0.74)
+
+AMBER: Color = (0.60, 0.19, 0.01)
+
+RED_TAPE: Color = (0.45, 0.012, 0.014)
+
+
+@dataclass(frozen=True, slots=True)
+class TruckForm:
+    """The outline of a box lorry of 7.5 t, in metres; x counts from the middle."""
+
+    length: float = TRUCK_LENGTH_M
+    width: float = TRUCK_WIDTH_M
+    height: float = 3.2
+    floor: float = 0.98
+    """Lower edge of the box body."""
+    cab_width: float = 2.04
+    cab_height: float = 2.32
+    cab_back: float = 1.92
+    body_front: float = 1.72
+    wheels: tuple[float, float] = (-1.95, 2.55)
+    """Rear and front axle, x."""
+    wheel_radius: float = 0.41
+
+    @property
+    def body_back(self) -> float:
+        """Where the doors of the box are, x."""
+        return -0.5 * self.length + 0.06
+
+
+TRUCK_FORM = TruckForm()
+"""The lorries that stand in the street."""

@@ -1,18 +1,102 @@
-"""The plan of the street: which houses, trees, cars and lamps stand where. Everything else is built from it."""
+"""What a person may ask of the built-in street."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from enum import IntEnum
+from typing import Annotated, Literal
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
-from .parameters import StreetParameters
-from .parking import CROSSING_LENGTH_M, ParkedCar, ParkedTruck, beside_trucks, plan_cars, plan_trucks
+
+class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Size and contents of the street. It runs along +x, with the ego lane on the right (y < 0) and z upwards."""
+
+    seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed")] = 7
+    """Which street: the same seed gives the same bytes."""
+    length_m: Annotated[float, Meta(ge=120, le=260, title="Length", extra={"unit": "m"})] = 180.0
+    """From the cross street behind the start to the one ahead."""
+    behind_m: Annotated[float, Meta(ge=20, le=60, title="Behind the start", extra={"unit": "m"})] = 30.0
+    """How much of the length lies behind x = 0."""
+    lane_width_m: Annotated[float, Meta(ge=2.8, le=4.0, title="Lane width", extra={"unit": "m"})] = 3.4
+    """One lane each way."""
+    parking_width_m: Annotated[float, Meta(ge=2.0, le=2.6, title="Parking lane width", extra={"unit": "m"})] = 2.2
+    """One parking lane on each side."""
+    pavement_width_m: Annotated[float, Meta(ge=2.5, le=5.0, title="Pavement width", extra={"unit": "m"})] = 3.5
+    """From kerb to house fronts."""
+    tree_spacing_m: Annotated[float, Meta(ge=8, le=60, title="Tree spacing", extra={"unit": "m"})] = 15.0
+    """Along each pavement."""
+    parked_share: Annotated[float, Meta(ge=0, le=1, title="Parked cars")] = 0.46
+    """Share of the parking bays that are taken."""
+    sun_azimuth_deg: Annotated[float, Meta(ge=0, le=180, title="Sun azimuth", extra={"unit": "deg"})] = 128.0
+    """Counter-clockwise from the driving direction: 90 is from the left, 180 from behind."""
+    sun_elevation_deg: Annotated[float, Meta(ge=25, le=75, title="Sun elevation", extra={"unit": "deg"})] = 47.0
+    """Above the horizon."""
+    ego_speed_m_s: Annotated[float, Meta(ge=0, le=20, title="Ego speed", extra={"unit": "m/s"})] = 10.0
+    """The ego vehicle's constant speed."""
+    lead_gap_m: Annotated[float, Meta(ge=6, le=60, title="Gap to the lead car", extra={"unit": "m"})] = 18.0
+    """From the ego's origin to the middle of the lead car at the start."""
+
+    @property
+    def start_x_m(self) -> float:
+        """Where the rows of houses begin."""
+        return -self.behind_m
+
+    @property
+    def end_x_m(self) -> float:
+        return self.length_m - self.behind_m
+
+    @property
+    def kerb_y_m(self) -> float:
+        """Half the width between the kerbs."""
+        return self.lane_width_m + self.parking_width_m
+
+    @property
+    def front_y_m(self) -> float:
+        """Half the width between the house fronts."""
+        return self.kerb_y_m + self.pavement_width_m
+
+    @property
+    def drive_seconds(self) -> float:
+        """How long the ego drives: until 30 m before the end, or 15 s where it stands still."""
+        if self.ego_speed_m_s <= 0:
+            return 15.0
+        return min(60.0, (self.end_x_m - 30.0) / self.ego_speed_m_s)
+
+
+# § What a surface of the street is: the semantic classes of its ground truth.
+
+
+class Label(IntEnum):
+    """Semantic class of a surface; 0 is kept for pixels that show nothing."""
+
+    NOTHING = 0
+    ROAD = 1
+    LANE_MARKING = 2
+    PAVEMENT = 3
+    BUILDING = 4
+    VEGETATION = 5
+    CAR = 6
+    POLE = 7
+    SIGN = 8
+    FURNITURE = 9
+    TERRAIN = 10
+    SKY = 11
+    TRUCK = 12
+
+
+# § The plan of the street: which houses, trees, cars and lamps stand where. Everything else is built from it.
 
 KERB_HEIGHT_M = 0.12
+
 HOUSE_DEPTH_M = 10.0
+
 CROSS_ROAD_M = 8.0
 """Width between the kerbs of the two streets that cross at the ends."""
+
 CROSS_PAVEMENT_M = 2.6
+
 CROSS_LENGTH_M = 36.0
 """How far the cross streets reach to each side of the axis."""
 
@@ -30,8 +114,11 @@ _WALLS: tuple[tuple[Wall, tuple[float, float, float]], ...] = (
     ("plaster", (0.35, 0.42, 0.50)),  # pale blue
     ("plaster", (0.62, 0.60, 0.57)),  # white
 )
+
 _ROOFS = ((0.26, 0.10, 0.065), (0.20, 0.085, 0.06), (0.10, 0.105, 0.12), (0.14, 0.12, 0.11), (0.29, 0.14, 0.09))
+
 _SIGNS = ((0.06, 0.13, 0.10), (0.22, 0.03, 0.03), (0.03, 0.06, 0.16), (0.05, 0.05, 0.055), (0.30, 0.20, 0.05))
+
 _DOORS = ((0.10, 0.045, 0.02), (0.02, 0.06, 0.045), (0.02, 0.035, 0.07), (0.13, 0.02, 0.02), (0.05, 0.05, 0.05))
 
 
@@ -81,6 +168,37 @@ class Tree:
     height: float
     radius: float
     seed: int
+
+
+# § Who stands at the kerbs of the street: cars in their bays, and lorries where the crowns of the trees leave room.
+
+CarShape = Literal["hatchback", "saloon", "estate", "van"]
+
+Color = tuple[float, float, float]
+"""Linear albedo."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParkedCar:
+    """A car at the kerb; heading +x or -x."""
+
+    x: float
+    y: float
+    turn_deg: float
+    shape: CarShape
+    paint: Color
+
+
+@dataclass(frozen=True, slots=True)
+class ParkedTruck:
+    """A box lorry at the kerb; heading +x or -x."""
+
+    x: float
+    y: float
+    turn_deg: float
+    cab: Color
+    body: Color
+    sign: Color
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,3 +319,77 @@ def _trees(p: StreetParameters, crossings: tuple[float, ...], rng: np.random.Gen
                      int(rng.integers(2**31)))
             )  # fmt: skip
     return tuple(trees)
+
+
+CROSSING_LENGTH_M = 3.0
+
+TRUCK_LENGTH_M, TRUCK_WIDTH_M = 7.2, 2.2
+
+_PAINTS: tuple[Color, ...] = (
+    (0.45, 0.45, 0.46),  # silver
+    (0.03, 0.03, 0.034),  # black
+    (0.62, 0.62, 0.61),  # white
+    (0.025, 0.05, 0.12),  # blue
+    (0.20, 0.014, 0.014),  # red
+    (0.13, 0.14, 0.15),  # graphite
+    (0.03, 0.07, 0.05),  # green
+    (0.36, 0.33, 0.27),  # sand
+)
+
+_LORRIES: tuple[tuple[int, float, Color, Color, Color], ...] = (
+    (1, 58.0, (0.60, 0.60, 0.59), (0.62, 0.62, 0.60), (0.03, 0.10, 0.30)),
+    (1, 86.5, (0.42, 0.025, 0.02), (0.62, 0.62, 0.60), (0.42, 0.025, 0.02)),
+    (-1, 67.0, (0.03, 0.09, 0.27), (0.64, 0.64, 0.63), (0.03, 0.09, 0.27)),
+    (-1, 97.5, (0.62, 0.62, 0.61), (0.035, 0.11, 0.26), (0.62, 0.62, 0.60)),
+)
+"""Side of the street (1: left), where about (x, m), colours of cab, box and sign."""
+
+_CAR_LENGTH_M, _GAP_M = 4.7, 0.5
+
+_MOST_SHIFT_M = 5.0
+"""A lorry that finds no room so near to where it would like to stand has not come."""
+
+
+def plan_cars(p: StreetParameters, crossings: Sequence[float], rng: np.random.Generator) -> tuple[ParkedCar, ...]:
+    """Draw which bays are taken, and by what."""
+    cars: list[ParkedCar] = []
+    shapes: tuple[CarShape, ...] = ("hatchback", "saloon", "estate", "hatchback", "van", "saloon")
+    for side in (1, -1):
+        for x in np.arange(p.start_x_m + 6, p.end_x_m - 5, 6.1):
+            draws = rng.uniform(size=4)
+            x = float(x) + 1.0 * (draws[0] - 0.5)
+            near_crossing = any(c - 6.5 < x < c + CROSSING_LENGTH_M + 6.5 for c in crossings)
+            if draws[1] > p.parked_share or near_crossing:
+                continue
+            y = side * (p.kerb_y_m - 0.5 * p.parking_width_m - 0.05 + 0.16 * (draws[2] - 0.5))
+            shape = shapes[int(rng.integers(len(shapes)))]
+            paint = _PAINTS[int(rng.integers(len(_PAINTS)))]
+            cars.append(ParkedCar(x, y, (180.0 if side > 0 else 0.0) + 1.6 * (draws[3] - 0.5), shape, paint))
+    return tuple(cars)
+
+
+def plan_trucks(
+    p: StreetParameters,
+    crossings: Sequence[float],
+    crowns: Sequence[tuple[float, float, float]],
+    cars: Sequence[ParkedCar],
+) -> tuple[ParkedTruck, ...]:
+    """Place lorries close to the kerb, clear of crowns (x, y, radius) and crossings; none where nobody may park."""
+    trucks: list[ParkedTruck] = []
+    for side, x, cab, body, sign in _LORRIES if cars else ():
+        taken = [(at - radius, at + radius) for at, y, radius in crowns if y * side > 0]
+        taken += [(c - 5.0, c + CROSSING_LENGTH_M + 5.0) for c in crossings]
+        taken += [(-np.inf, p.start_x_m + 2.0), (p.end_x_m - 2.0, np.inf)]
+        shifts = sorted(np.arange(-_MOST_SHIFT_M, _MOST_SHIFT_M + 0.1, 0.25), key=abs)
+        reach = 0.5 * TRUCK_LENGTH_M
+        free = [x + s for s in shifts if all(x + s + reach < low or x + s - reach > high for low, high in taken)]
+        if free:
+            y = side * (p.kerb_y_m - 0.03 - 0.5 * TRUCK_WIDTH_M)
+            trucks.append(ParkedTruck(float(free[0]), y, 180.0 if side > 0 else 0.0, cab, body, sign))
+    return tuple(trucks)
+
+
+def beside_trucks(cars: Sequence[ParkedCar], trucks: Sequence[ParkedTruck]) -> tuple[ParkedCar, ...]:
+    """The cars that find room where the trucks stand already."""
+    least = 0.5 * (TRUCK_LENGTH_M + _CAR_LENGTH_M) + _GAP_M
+    return tuple(car for car in cars if all(car.y * t.y < 0 or abs(car.x - t.x) > least for t in trucks))

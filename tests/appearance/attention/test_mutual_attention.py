@@ -8,10 +8,18 @@ import pytest
 torch = pytest.importorskip("torch")
 diffusers = pytest.importorskip("diffusers")
 
-from gsrain_engine.appearance.attention.exchange import Element, exchanging  # noqa: E402
-from gsrain_engine.appearance.attention.settings import MutualAttention  # noqa: E402
-from gsrain_engine.appearance.attention.window import Window  # noqa: E402
-from gsrain_engine.appearance.matching.correspondence import Correspondence, Outcome  # noqa: E402
+from gsrain_engine.appearance.correspondence import (  # noqa: E402
+    Correspondence,
+    Outcome,
+)
+from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import (  # noqa: E402
+    Element,
+    exchanging,
+)
+from gsrain_engine.appearance.cyclegan_turbo.settings import (  # noqa: E402
+    MutualAttention,
+    Window,
+)
 
 PX, LATENT = 64, 8
 WHOLE = Window.whole(PX, PX)

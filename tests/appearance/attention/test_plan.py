@@ -5,9 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.attention.plan import outward_plan, planned, separate_plan, together_plan
-from gsrain_engine.appearance.attention.settings import MutualAttention
-from gsrain_engine.appearance.clear_view import ClearView
+from gsrain_engine.appearance.base import ClearView
+from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import (
+    outward_plan,
+    planned,
+    separate_plan,
+    together_plan,
+)
+from gsrain_engine.appearance.cyclegan_turbo.settings import MutualAttention
 from gsrain_engine.scene.camera import Camera, look_at
 
 ROW = [(1, 2), (0, 2), (1, 3), (2, 4), (3, 2)]

@@ -5,8 +5,10 @@ import pytest
 torch = pytest.importorskip("torch")
 attention = pytest.importorskip("diffusers.models.attention_processor")
 
-from gsrain_engine.appearance.attention.chunked import attended  # noqa: E402
-from gsrain_engine.appearance.attention.processor import MutualSelfAttention  # noqa: E402
+from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import (  # noqa: E402
+    MutualSelfAttention,
+    attended,
+)
 
 
 class Others:
@@ -76,7 +78,7 @@ def test_never_more_scores_at_once_than_asked_for(monkeypatch, most_scores):
 
 @torch.inference_mode()
 def test_chunks_of_three_large_views_stay_below_the_default(monkeypatch):
-    from gsrain_engine.appearance.attention.settings import MutualAttention
+    from gsrain_engine.appearance.cyclegan_turbo.settings import MutualAttention
 
     # SD-Turbo's finest layer at 512 px: 5 heads, 4096 tokens, two neighbours. Only shapes are computed.
     query, key = (torch.empty(1, 5, n, 64, device="meta") for n in (4096, 3 * 4096))

@@ -1,8 +1,7 @@
 from pathlib import Path
 
-from gsrain_engine.appearance.cyclegan_turbo.delta import take_in
 from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo
-from gsrain_engine.appearance.cyclegan_turbo.weights import open_weights
+from gsrain_engine.appearance.cyclegan_turbo.weights import open_weights, take_in
 
 
 def load_weights(model: CycleGanTurbo, path: Path, weather: str = "rainy") -> None:

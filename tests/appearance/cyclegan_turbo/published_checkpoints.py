@@ -5,9 +5,8 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
-from gsrain_engine.appearance.cyclegan_turbo.architecture import tiny
 from gsrain_engine.appearance.cyclegan_turbo.lora import VAE_LAYERS, LoraRanks, unet_targets
-from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo, build
+from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo, build, tiny
 
 torch: Any = import_module("torch")
 

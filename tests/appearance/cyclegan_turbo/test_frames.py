@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.appearance.cyclegan_turbo.frames import blended, brought_back, frame_size, resized, tiles
+from gsrain_engine.appearance.cyclegan_turbo.translator import blended, brought_back, frame_size, resized, tiles
 
 
 @pytest.mark.parametrize(

@@ -9,16 +9,18 @@ torch = pytest.importorskip("torch")
 diffusers = pytest.importorskip("diffusers")
 
 from gsrain_engine.appearance.cyclegan_turbo import lora  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.architecture import sd_turbo, tiny  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.delta import plain_layers  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo, build  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.one_step import OneStep  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.skip_autoencoder import (  # noqa: E402
+from gsrain_engine.appearance.cyclegan_turbo.model import (  # noqa: E402
+    CycleGanTurbo,
+    OneStep,
     add_guide_channel,
     add_skips,
+    build,
     decoded,
     encoded,
+    sd_turbo,
+    tiny,
 )
+from gsrain_engine.appearance.cyclegan_turbo.weights import plain_layers  # noqa: E402
 
 from .published_checkpoints import pristine, trained_model, untrained  # noqa: E402
 

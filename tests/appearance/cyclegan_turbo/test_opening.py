@@ -10,11 +10,16 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("diffusers")
 pytest.importorskip("peft")
 
-from gsrain_engine.appearance.clear_view import ClearView  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.opening import chosen_device, open_cyclegan_turbo  # noqa: E402
+from gsrain_engine.appearance.base import (  # noqa: E402
+    ClearView,
+    TransferSettings,
+)
+from gsrain_engine.appearance.cyclegan_turbo.translator import (  # noqa: E402
+    chosen_device,
+    open_cyclegan_turbo,
+)
 from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights  # noqa: E402
-from gsrain_engine.appearance.methods import open_transfer  # noqa: E402
-from gsrain_engine.appearance.transfer_settings import TransferSettings  # noqa: E402
+from gsrain_engine.appearance.registry import open_transfer  # noqa: E402
 from gsrain_engine.scene.camera import Camera  # noqa: E402
 
 from .published_checkpoints import trained_model  # noqa: E402

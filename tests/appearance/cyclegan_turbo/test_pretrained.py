@@ -13,12 +13,18 @@ torch = pytest.importorskip("torch")
 diffusers = pytest.importorskip("diffusers")
 transformers = pytest.importorskip("transformers")
 
-from gsrain_engine.appearance.cyclegan_turbo import places  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.architecture import tiny  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.captions import caption_embeddings, encoded_captions  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.duration import estimated_seconds  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.model import CAPTIONS  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.pretrained import open_model, read_base  # noqa: E402
+from gsrain_engine.appearance.cyclegan_turbo import weight_paths  # noqa: E402
+from gsrain_engine.appearance.cyclegan_turbo.model import (  # noqa: E402
+    CAPTIONS,
+    tiny,
+)
+from gsrain_engine.appearance.cyclegan_turbo.pretrained import (  # noqa: E402
+    caption_embeddings,
+    encoded_captions,
+    open_model,
+    read_base,
+)
+from gsrain_engine.appearance.cyclegan_turbo.translator import estimated_seconds  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights  # noqa: E402
 
 from .published_checkpoints import pristine, published, trained_model  # noqa: E402
@@ -62,7 +68,7 @@ def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("HF_HOME", str(tmp_path / "hub"))
-    for name in (places.BASE_VARIABLE, places.WEIGHTS_VARIABLE, "HF_HUB_CACHE"):
+    for name in (weight_paths.BASE_VARIABLE, weight_paths.WEIGHTS_VARIABLE, "HF_HUB_CACHE"):
         monkeypatch.delenv(name, raising=False)
     return folder
 
@@ -97,7 +103,7 @@ def test_captions_are_what_the_text_encoder_says_and_are_kept(base: Path) -> Non
     assert torch.equal(kept[0], again[1]) and torch.equal(kept[1], again[0])
     with pytest.raises(FileNotFoundError, match="no text encoder at .*sd-turbo.*no caption 'fog' in .*safetensors"):
         caption_embeddings(["fog"], base, tiny())
-    places.captions_file().write_text("damaged")
+    weight_paths.captions_file().write_text("damaged")
     with pytest.raises(ValueError, match="not a readable file of captions"):
         caption_embeddings(CAPTIONS, base, tiny())
 
@@ -151,40 +157,40 @@ def test_places_are_tried_in_order(base: Path, monkeypatch: pytest.MonkeyPatch) 
         FileNotFoundError,
         match=r"no SD-Turbo .*models--stabilityai--sd-turbo: hf download stabilityai/sd-turbo .*GSRAIN_SD_TURBO",
     ):
-        places.find_base()
+        weight_paths.find_base()
     snapshots = Path(base.parent) / "hub" / "hub" / "models--stabilityai--sd-turbo"
     for name in ("aaa", "bbb"):
         shutil.copytree(base, snapshots / "snapshots" / name)
     (snapshots / "refs").mkdir()
     (snapshots / "refs" / "main").write_text("bbb")
-    assert places.find_base() == snapshots / "snapshots" / "bbb"
-    shutil.copytree(base, places.data_folder() / "sd-turbo")
-    assert places.find_base() == places.data_folder() / "sd-turbo"
-    monkeypatch.setenv(places.BASE_VARIABLE, str(base))
-    assert places.find_base() == base
+    assert weight_paths.find_base() == snapshots / "snapshots" / "bbb"
+    shutil.copytree(base, weight_paths.data_folder() / "sd-turbo")
+    assert weight_paths.find_base() == weight_paths.data_folder() / "sd-turbo"
+    monkeypatch.setenv(weight_paths.BASE_VARIABLE, str(base))
+    assert weight_paths.find_base() == base
     with pytest.raises(FileNotFoundError, match="elsewhere"):
-        places.find_base(base.parent / "elsewhere")
+        weight_paths.find_base(base.parent / "elsewhere")
 
 
 def test_weights_are_found_where_they_are_put(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(FileNotFoundError, match=r"clear2rainy\.pkl there, or name a file by --weights"):
-        places.find_weights()
-    folder = places.data_folder() / "transfer"
+        weight_paths.find_weights()
+    folder = weight_paths.data_folder() / "transfer"
     folder.mkdir(parents=True)
     for name in ("a.safetensors", "clear2rainy.pkl", "notes.txt"):
         (folder / name).touch()
-    assert places.find_weights().name == "clear2rainy.pkl"
+    assert weight_paths.find_weights().name == "clear2rainy.pkl"
     (folder / "clear2rainy.pkl").unlink()
-    assert places.find_weights().name == "a.safetensors"
-    monkeypatch.setenv(places.WEIGHTS_VARIABLE, str(folder / "notes.txt"))
-    assert places.find_weights().name == "notes.txt"
+    assert weight_paths.find_weights().name == "a.safetensors"
+    monkeypatch.setenv(weight_paths.WEIGHTS_VARIABLE, str(folder / "notes.txt"))
+    assert weight_paths.find_weights().name == "notes.txt"
 
 
 def test_a_published_checkpoint_upon_a_base(base: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("peft")
     monkeypatch.setattr("gsrain_engine.appearance.cyclegan_turbo.pretrained.sd_turbo", tiny)
     monkeypatch.setitem(
-        __import__("gsrain_engine.appearance.cyclegan_turbo.architecture", fromlist=["x"]).ARCHITECTURES,
+        __import__("gsrain_engine.appearance.cyclegan_turbo.model", fromlist=["x"]).ARCHITECTURES,
         "sd-turbo",
         tiny,
     )
@@ -196,7 +202,7 @@ def test_a_published_checkpoint_upon_a_base(base: Path, tmp_path: Path, monkeypa
     assert not torch.equal(_out(plain), _out(model))
     save_weights(model, tmp_path / "own.safetensors")
     shutil.rmtree(base / "text_encoder")  # our own file brings its captions along
-    places.captions_file().unlink()
+    weight_paths.captions_file().unlink()
     again = open_model(tmp_path / "own.safetensors", base)
     assert torch.equal(_out(again), _out(model))
     assert again.texts == CAPTIONS

@@ -11,18 +11,23 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("diffusers")
 
-from gsrain_engine.appearance.attention.settings import MutualAttention  # noqa: E402
-from gsrain_engine.appearance.clear_view import ClearView  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.architecture import tiny  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.model import build  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.settings import RunSettings  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.transfer import (  # noqa: E402
-    NO_OVERLAP,
-    WITHOUT_POSE,
-    CycleGanTurboTransfer,
+from gsrain_engine.appearance.base import (  # noqa: E402
+    ClearView,
+    Transfer,
 )
-from gsrain_engine.appearance.transfer import Transfer  # noqa: E402
-from gsrain_engine.scene.camera import Camera, look_at  # noqa: E402
+from gsrain_engine.appearance.cyclegan_turbo.model import (  # noqa: E402
+    build,
+    tiny,
+)
+from gsrain_engine.appearance.cyclegan_turbo.settings import (  # noqa: E402
+    MutualAttention,
+    RunSettings,
+)
+from gsrain_engine.appearance.cyclegan_turbo.translator import NO_OVERLAP, WITHOUT_POSE, CycleGanTurboTransfer  # noqa: E402
+from gsrain_engine.scene.camera import (  # noqa: E402
+    Camera,
+    look_at,
+)
 
 WIDTH, HEIGHT = 96, 64
 ALONE = RunSettings(side_px=None, mutual=None)

@@ -10,9 +10,12 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("diffusers")
 pytest.importorskip("peft")
 
-from gsrain_engine.appearance.cyclegan_turbo.delta import take_in  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo  # noqa: E402
-from gsrain_engine.appearance.cyclegan_turbo.weights import open_weights, save_weights  # noqa: E402
+from gsrain_engine.appearance.cyclegan_turbo.weights import (  # noqa: E402
+    open_weights,
+    save_weights,
+    take_in,
+)
 
 from .loaded_weights import load_weights  # noqa: E402
 from .published_checkpoints import (  # noqa: E402

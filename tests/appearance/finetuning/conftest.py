@@ -9,8 +9,8 @@ import pytest
 def small_networks(monkeypatch: pytest.MonkeyPatch) -> None:
     if importlib.util.find_spec("torch") is None:
         pytest.skip("needs torch")
-    from gsrain_engine.appearance.cyclegan_turbo.architecture import ARCHITECTURES
-    from gsrain_engine.appearance.finetuning import start
+    from gsrain_engine.appearance.cyclegan_turbo.model import ARCHITECTURES
+    from gsrain_engine.appearance.finetune import run as start
 
     from .small_training import small
 

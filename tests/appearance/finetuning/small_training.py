@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from gsrain_engine.appearance.cyclegan_turbo.architecture import TurboArchitecture, tiny
-from gsrain_engine.appearance.finetuning.finetune import finetune
-from gsrain_engine.appearance.finetuning.iteration import Training
-from gsrain_engine.appearance.finetuning.pictures.open_pictures import open_pictures
-from gsrain_engine.appearance.finetuning.settings import FinetuningSettings
-from gsrain_engine.appearance.finetuning.settings_file import load_finetuning
-from gsrain_engine.appearance.finetuning.start import start_finetuning
-from gsrain_engine.appearance.finetuning.task import TrainingResult, TrainingTask
+from gsrain_engine.appearance.cyclegan_turbo.model import TurboArchitecture, tiny
+from gsrain_engine.appearance.finetune.dataset import open_pictures
+from gsrain_engine.appearance.finetune.run import finetune, start_finetuning
+from gsrain_engine.appearance.finetune.settings import FinetuningSettings, load_finetuning
+from gsrain_engine.appearance.finetune.step import Training
+from gsrain_engine.appearance.finetune.task import TrainingResult, TrainingTask
 from gsrain_engine.scene.progress import Progress
 
 SIDE_PX = 16

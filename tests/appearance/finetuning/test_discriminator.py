@@ -7,11 +7,14 @@ import pytest
 torch = pytest.importorskip("torch")
 transformers = pytest.importorskip("transformers")
 
-from gsrain_engine.appearance.finetuning.augment import augmented  # noqa: E402
-from gsrain_engine.appearance.finetuning.clip_features import ClipFeatures, area_resized  # noqa: E402
-from gsrain_engine.appearance.finetuning.clip_place import PLACE  # noqa: E402
-from gsrain_engine.appearance.finetuning.discriminator import Discriminator  # noqa: E402
-from gsrain_engine.appearance.finetuning.losses import adversarial  # noqa: E402
+from gsrain_engine.appearance.finetune.discriminator import (  # noqa: E402
+    ClipFeatures,
+    Discriminator,
+    area_resized,
+    augmented,
+)
+from gsrain_engine.appearance.finetune.settings import PLACE  # noqa: E402
+from gsrain_engine.appearance.finetune.step import adversarial  # noqa: E402
 
 
 def _random(seed: int) -> object:

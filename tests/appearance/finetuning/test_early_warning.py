@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.finetuning.early_warning import CHANCE, EarlyWarning, counted, look_distance
+from gsrain_engine.appearance.finetune.loss_log import CHANCE, EarlyWarning, counted, look_distance
 
 _GAN = 0.5
 

@@ -7,9 +7,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.finetuning.loss_log import LossLog, read_losses
-from gsrain_engine.appearance.finetuning.settings import FinetuningSettings
-from gsrain_engine.appearance.finetuning.settings_file import (
+from gsrain_engine.appearance.finetune.loss_log import LossLog, read_losses
+from gsrain_engine.appearance.finetune.settings import (
+    FinetuningSettings,
     finetuning_help,
     finetuning_names,
     load_finetuning,
@@ -83,8 +83,8 @@ def test_losses_are_read_while_they_are_written(tmp_path: Path) -> None:
 
 def test_pictures_go_round_in_ever_new_orders(tmp_path: Path) -> None:
     pytest.importorskip("torch")
-    from gsrain_engine.appearance.finetuning.picture_order import PictureOrder, fingerprint
-    from gsrain_engine.appearance.finetuning.pictures.open_pictures import open_pictures
+    from gsrain_engine.appearance.finetune.dataset import open_pictures
+    from gsrain_engine.appearance.finetune.sampler import PictureOrder, fingerprint
 
     from .small_training import small_settings
 
@@ -108,7 +108,7 @@ def test_pictures_go_round_in_ever_new_orders(tmp_path: Path) -> None:
 
 def test_damaged_checkpoints_are_refused(tmp_path: Path) -> None:
     torch = pytest.importorskip("torch")
-    from gsrain_engine.appearance.finetuning.checkpoints import (
+    from gsrain_engine.appearance.finetune.checkpoint import (
         Checkpoint,
         FinetuningCheckpointError,
         read_checkpoint,

@@ -9,12 +9,12 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from gsrain_engine.appearance.cyclegan_turbo.model import build  # noqa: E402
-from gsrain_engine.appearance.finetuning.checkpoints import FinetuningCheckpointError  # noqa: E402
-from gsrain_engine.appearance.finetuning.finetune import finetune  # noqa: E402
-from gsrain_engine.appearance.finetuning.iteration import Training  # noqa: E402
-from gsrain_engine.appearance.finetuning.loss_log import read_losses  # noqa: E402
-from gsrain_engine.appearance.finetuning.settings_file import load_finetuning  # noqa: E402
-from gsrain_engine.appearance.finetuning.task import TrainingTask  # noqa: E402
+from gsrain_engine.appearance.finetune.checkpoint import FinetuningCheckpointError  # noqa: E402
+from gsrain_engine.appearance.finetune.loss_log import read_losses  # noqa: E402
+from gsrain_engine.appearance.finetune.run import finetune  # noqa: E402
+from gsrain_engine.appearance.finetune.settings import load_finetuning  # noqa: E402
+from gsrain_engine.appearance.finetune.step import Training  # noqa: E402
+from gsrain_engine.appearance.finetune.task import TrainingTask  # noqa: E402
 
 from ..cyclegan_turbo.loaded_weights import load_weights  # noqa: E402
 from .small_training import run, small, small_settings, small_start  # noqa: E402

@@ -6,10 +6,14 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.appearance.finetuning.losses import adversarial, difference  # noqa: E402
-from gsrain_engine.appearance.finetuning.optimizer import DivergedError, NamedOptimizer  # noqa: E402
-from gsrain_engine.appearance.finetuning.settings import OptimizerSettings  # noqa: E402
-from gsrain_engine.appearance.finetuning.trained_parameters import trained_parameters  # noqa: E402
+from gsrain_engine.appearance.finetune.settings import OptimizerSettings  # noqa: E402
+from gsrain_engine.appearance.finetune.step import (  # noqa: E402
+    DivergedError,
+    NamedOptimizer,
+    adversarial,
+    difference,
+    trained_parameters,
+)
 
 from .small_training import small_settings, small_start  # noqa: E402
 

@@ -4,10 +4,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from gsrain_engine.appearance.clear_view import ClearView
-from gsrain_engine.datasets.street.views import capture_street
+from gsrain_engine.appearance.base import ClearView
+from gsrain_engine.datasets.street import capture_street
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.street.parameters import StreetParameters
+from gsrain_engine.scene.street.layout import StreetParameters
 
 SMALL = StreetParameters(length_m=120.0, parked_share=0.3, tree_spacing_m=30.0)
 WIDTH, HEIGHT = 360, 240

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from appearance.matching.street_views import made_view, street_views
-from gsrain_engine.appearance.matching.correspondence import Outcome, Tolerance, correspondence, warped
+from gsrain_engine.appearance.correspondence import Outcome, Tolerance, correspondence, warped
 from gsrain_engine.scene.camera import Camera
 
 

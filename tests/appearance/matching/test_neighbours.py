@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from appearance.matching.street_views import made_view, street_camera, street_views
-from gsrain_engine.appearance.matching.neighbours import neighbours
+from gsrain_engine.appearance.covisibility import neighbours
 
 
 def test_the_nearest_on_the_way_come_first_and_another_camera_has_a_place():

@@ -10,10 +10,16 @@ from appearance.normals.dsine_program import write_program
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.appearance.normals.dsine import DsineNormals  # noqa: E402
-from gsrain_engine.appearance.normals.estimators import NormalEstimator, open_estimator  # noqa: E402
-from gsrain_engine.appearance.normals.from_depth import view_rays  # noqa: E402
-from gsrain_engine.scene.camera import Camera, look_at  # noqa: E402
+from gsrain_engine.appearance.normal_estimators import (  # noqa: E402
+    NormalEstimator,
+    open_estimator,
+)
+from gsrain_engine.appearance.normal_models import DsineNormals  # noqa: E402
+from gsrain_engine.appearance.normals import view_rays  # noqa: E402
+from gsrain_engine.scene.camera import (  # noqa: E402
+    Camera,
+    look_at,
+)
 
 
 @pytest.fixture

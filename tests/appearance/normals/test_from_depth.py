@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from gsrain_engine.appearance.normals.from_depth import normals_from_depth, view_rays, world_points
+from gsrain_engine.appearance.normals import normals_from_depth, view_rays, world_points
 from gsrain_engine.scene.camera import Camera, look_at
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.appearance.normals.axes import from_right_down_outward, from_right_up_backward, right_down_outward
-from gsrain_engine.appearance.normals.grey_guide import grey_guide
+from gsrain_engine.appearance.normals import (
+    from_right_down_outward,
+    from_right_up_backward,
+    grey_guide,
+    right_down_outward,
+)
 from gsrain_engine.scene.camera import Camera, look_at
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -3,13 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.views.capture_views import capture_views
-from gsrain_engine.appearance.views.choice import ViewChoice, chosen_views
-from gsrain_engine.appearance.views.guided_filter import guided
+from gsrain_engine.appearance.capture_views import capture_views
+from gsrain_engine.appearance.guess_geometry import guided
+from gsrain_engine.appearance.scene_views import ViewChoice, chosen_views
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, Lens
-from gsrain_engine.datasets.image_folder import camera_without_calibration
+from gsrain_engine.datasets.capture_folder import camera_without_calibration
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.scene.street.labels import Label
+from gsrain_engine.scene.street.layout import Label
 from tests.reconstruct.drive_capture import HEIGHT, ROAD_Z, WIDTH, box, drive_capture, world_depth
 
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

@@ -3,11 +3,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.views.choice import USUAL_PIXELS, ViewChoice, chosen_cameras, chosen_views, evenly
-from gsrain_engine.appearance.views.sampled_views import EYE_HEIGHT_M
+from gsrain_engine.appearance.scene_views import (
+    EYE_HEIGHT_M,
+    USUAL_PIXELS,
+    ViewChoice,
+    chosen_cameras,
+    chosen_views,
+    evenly,
+)
 from gsrain_engine.datasets.capture import Capture, Lens, View
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.paths.camera_path import circle_path, orbit_path
+from gsrain_engine.scene.camera_path import circle_path, orbit_path
 from gsrain_engine.scene.scene import Scene
 from tests.reconstruct.small_street import FORWARD, LEFT, small_street, still_track
 

@@ -3,14 +3,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.transfer import RainyView
-from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
-from gsrain_engine.appearance.views.kept_views import KEPT, KeptViews
-from gsrain_engine.appearance.views.placed_camera import PlacedCamera
-from gsrain_engine.appearance.views.scene_views import scene_view, scene_views
+from gsrain_engine.appearance.base import RainyView
+from gsrain_engine.appearance.scene_views import (
+    KEPT,
+    KeptViews,
+    PlacedCamera,
+    ViewChoice,
+    chosen_cameras,
+    scene_view,
+    scene_views,
+)
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.grading import Grading
-from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.scene import Grading, Scene
 from rasterized import rasterize
 from tests.reconstruct.small_street import small_street
 

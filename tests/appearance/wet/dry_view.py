@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsrain_engine.appearance.clear_view import ClearView
+from gsrain_engine.appearance.base import ClearView
 from gsrain_engine.scene.camera import Camera, look_at
 
 WIDTH, HEIGHT = 96, 64

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.wet.fresnel import WATER_INDEX, reflectance, unshadowed
+from gsrain_engine.appearance.wet_look.materials import WATER_INDEX, reflectance, unshadowed
 
 
 @pytest.mark.parametrize(("degrees", "share"), [(0, 0.0204), (30, 0.0212), (60, 0.0597), (80, 0.3479), (90, 1.0)])

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.wet.ground_heights import ground_heights
-from gsrain_engine.appearance.wet.ground_plane import GroundPlane
+from gsrain_engine.appearance.wet_look.ground_plane import GroundPlane, ground_heights
 
 LEVEL = GroundPlane(np.array([0.0, 0, 1]), 0.0)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.wet.ground_plane import GroundPlane, fitted_plane
+from gsrain_engine.appearance.wet_look.ground_plane import GroundPlane, fitted_plane
 from gsrain_engine.scene.camera import Camera, look_at
 
 TILTED = GroundPlane(np.array([0.06, -0.03, 1.0]) / np.linalg.norm([0.06, -0.03, 1.0]), -1.2)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from appearance.wet.dry_view import dry_view
-from gsrain_engine.appearance.wet.light import LUMINANCE, scene_light
-from gsrain_engine.scene.srgb import srgb_to_linear
+from gsrain_engine.appearance.wet_look.illumination import LUMINANCE, scene_light
+from gsrain_engine.scene.geometry import srgb_to_linear
 
 
 def test_sun_and_shadow_are_told_apart():

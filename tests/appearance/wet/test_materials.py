@@ -6,16 +6,21 @@ import numpy as np
 import pytest
 
 from appearance.wet.dry_view import dry_view
-from gsrain_engine.appearance.normals.from_depth import view_rays
-from gsrain_engine.appearance.wet.albedo import soaking, wet_albedo, wetted
-from gsrain_engine.appearance.wet.gloss import with_gloss
-from gsrain_engine.appearance.wet.lamps import lamp_share, with_lamps
-from gsrain_engine.appearance.wet.mist import in_mist
-from gsrain_engine.appearance.wet.noise import SmoothNoise
-from gsrain_engine.appearance.wet.settings import WetSettings
-from gsrain_engine.appearance.wet.sky import overcast_sky
-from gsrain_engine.appearance.wet.surfaces import surfaces_of
-from gsrain_engine.scene.srgb import srgb_to_linear
+from gsrain_engine.appearance.normals import view_rays
+from gsrain_engine.appearance.wet_look.illumination import overcast_sky
+from gsrain_engine.appearance.wet_look.masks import surfaces_of
+from gsrain_engine.appearance.wet_look.materials import (
+    in_mist,
+    lamp_share,
+    soaking,
+    wet_albedo,
+    wetted,
+    with_gloss,
+    with_lamps,
+)
+from gsrain_engine.appearance.wet_look.noise import SmoothNoise
+from gsrain_engine.appearance.wet_look.settings import WetSettings
+from gsrain_engine.scene.geometry import srgb_to_linear
 
 PLAIN = WetSettings(streaks=0.0)
 ROAD, WALL = (56, 48), (24, 48)

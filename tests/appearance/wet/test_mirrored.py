@@ -4,14 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsrain_engine.appearance.clear_view import ClearView
-from gsrain_engine.appearance.normals.from_depth import view_rays
-from gsrain_engine.appearance.wet.blurred import blurred
-from gsrain_engine.appearance.wet.ground import Ground
-from gsrain_engine.appearance.wet.ground_plane import GroundPlane
-from gsrain_engine.appearance.wet.mirrored import Mirrored, mirror_camera
-from gsrain_engine.appearance.wet.mirrored_gaps import without_gaps
-from gsrain_engine.appearance.wet.seen_again import seen_again
+from gsrain_engine.appearance.base import ClearView
+from gsrain_engine.appearance.normals import view_rays
+from gsrain_engine.appearance.wet_look.glossy import blurred
+from gsrain_engine.appearance.wet_look.ground_plane import GroundPlane
+from gsrain_engine.appearance.wet_look.masks import Ground
+from gsrain_engine.appearance.wet_look.reflections import Mirrored, mirror_camera, seen_again, without_gaps
 from gsrain_engine.scene.camera import Camera, look_at
 
 LEVEL = GroundPlane(np.array([0.0, 0, 1]), 0.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.wet.puddles import standing_water
+from gsrain_engine.appearance.wet_look.water import standing_water
 
 
 def field(x0=0.0, y0=0.0, n=200, step=0.1):

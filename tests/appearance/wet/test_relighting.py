@@ -6,12 +6,19 @@ import numpy as np
 import pytest
 
 from appearance.wet.dry_view import camera, dry_view
-from gsrain_engine.appearance.wet.light import LUMINANCE, scene_light
-from gsrain_engine.appearance.wet.relighting import DRY_GROUND_EV, before_cloud, overcast_surfaces
-from gsrain_engine.appearance.wet.settings import WetSettings
-from gsrain_engine.appearance.wet.sky import overcast_sky, with_own_sky, without_sky
-from gsrain_engine.appearance.wet.surfaces import surfaces_of
-from gsrain_engine.scene.srgb import srgb_to_linear
+from gsrain_engine.appearance.wet_look.illumination import (
+    DRY_GROUND_EV,
+    LUMINANCE,
+    before_cloud,
+    overcast_sky,
+    overcast_surfaces,
+    scene_light,
+    with_own_sky,
+    without_sky,
+)
+from gsrain_engine.appearance.wet_look.masks import surfaces_of
+from gsrain_engine.appearance.wet_look.settings import WetSettings
+from gsrain_engine.scene.geometry import srgb_to_linear
 
 LEFT, RIGHT = (slice(-8, None), slice(0, 24)), (slice(-8, None), slice(-24, None))
 """Where the road's shadowed and its sunlit half are."""

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from appearance.wet.dry_view import camera, dry_view
-from gsrain_engine.appearance.matching.correspondence import correspondence, warped
-from gsrain_engine.appearance.transfer import Transfer
-from gsrain_engine.appearance.wet.picture_surroundings import PictureSurroundings
-from gsrain_engine.appearance.wet.settings import WetSettings
-from gsrain_engine.appearance.wet.transfer import WetTransfer
-from gsrain_engine.scene.srgb import srgb_to_linear
+from gsrain_engine.appearance.base import Transfer
+from gsrain_engine.appearance.correspondence import correspondence, warped
+from gsrain_engine.appearance.wet_look.environment import PictureSurroundings
+from gsrain_engine.appearance.wet_look.settings import WetSettings
+from gsrain_engine.appearance.wet_look.translator import WetTransfer
+from gsrain_engine.scene.geometry import srgb_to_linear
 
 ALLOWED = 1.1
 """Of the clear views' own disagreement."""

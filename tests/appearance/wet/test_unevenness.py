@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.wet.bumps import bumps
-from gsrain_engine.appearance.wet.unevenness import tilted, unevenness
+from gsrain_engine.appearance.wet_look.noise import bumps, tilted, unevenness
 
 
 def places(x0=0.0, n=200, step=0.05):

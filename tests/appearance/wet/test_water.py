@@ -5,18 +5,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.clear_view import ClearView
-from gsrain_engine.appearance.views.placed_camera import PlacedCamera
-from gsrain_engine.appearance.views.scene_views import scene_view
-from gsrain_engine.appearance.wet.picture_surroundings import PictureSurroundings
-from gsrain_engine.appearance.wet.scene_surroundings import SceneSurroundings
-from gsrain_engine.appearance.wet.surroundings import Surroundings
-from gsrain_engine.appearance.wet.water import water_on
+from gsrain_engine.appearance.base import ClearView
+from gsrain_engine.appearance.scene_views import PlacedCamera, scene_view
+from gsrain_engine.appearance.wet_look.environment import PictureSurroundings, SceneSurroundings, Surroundings
+from gsrain_engine.appearance.wet_look.water import water_on
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.srgb import srgb_to_linear
+from gsrain_engine.scene.geometry import srgb_to_linear
+from gsrain_engine.scene.scene import Layer, Scene
 from small_scene import patch
 
 FOOT = np.array([9.0, 0.0, 0.0])

@@ -4,9 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsrain_engine.datasets.capture import Capture
-from gsrain_engine.datasets.pixels.completed_depth import completed_depth
-from gsrain_engine.datasets.pixels.measured_depth import completed_depths, measured_depths
-from gsrain_engine.datasets.pixels.road_plane import road_depth, road_drop
+from gsrain_engine.datasets.completed_depth import completed_depth
+from gsrain_engine.datasets.depth_maps import completed_depths, measured_depths, road_depth, road_drop
 from tests.reconstruct.drive_capture import ROAD_Z, drive_capture, world_depth
 
 

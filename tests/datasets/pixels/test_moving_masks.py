@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from gsrain_engine.datasets.capture import Capture, CaptureError, View
-from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.datasets.pixels.measured_depth import measured_depths, static_sweeps
-from gsrain_engine.datasets.pixels.moving_masks import (
+from gsrain_engine.datasets.depth_maps import measured_depths, static_sweeps
+from gsrain_engine.datasets.masks import (
     box_outline,
     inside_box,
     moves,
@@ -19,7 +18,8 @@ from gsrain_engine.datasets.pixels.moving_masks import (
     static_mask,
     with_camera_masks,
 )
-from gsrain_engine.datasets.prepared import prepared
+from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.datasets.undistort import prepared
 from tests.reconstruct.drive_capture import HEIGHT, ROAD_Z, WIDTH, box, drive_capture
 
 

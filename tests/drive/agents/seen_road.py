@@ -2,13 +2,12 @@
 
 import numpy as np
 
-from gsrain_engine.drive.agents.observation import CameraView, Observation, Rig
-from gsrain_engine.drive.road.route import Route
-from gsrain_engine.drive.traffic.road_user import RoadUser
-from gsrain_engine.drive.vehicle.state import VehicleState
-from gsrain_engine.drive.vehicle.vehicle import Vehicle
-from gsrain_engine.evaluate.detection.detector import Detection
+from gsrain_engine.evaluation.detection.detector import Detection
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.simulation.agents.base import CameraView, Observation, Rig
+from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.traffic.base import RoadUser
+from gsrain_engine.simulation.vehicle import Vehicle, VehicleState
 
 VEHICLE = Vehicle()
 FRONT_M = 3.6

@@ -5,12 +5,11 @@ import sys
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.agents.agent_file import agent_file
-from gsrain_engine.drive.agents.registry import AgentOptions, open_agent
+from gsrain_engine.simulation.agents.registry import AgentOptions, agent_file, open_agent
 
 _AGENT = """
 import numpy as np
-from gsrain_engine.drive.agents.agent import Needs, Plan
+from gsrain_engine.simulation.agents.base import Needs, Plan
 from beside_it import SPEED
 
 class Slow:

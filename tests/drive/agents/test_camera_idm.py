@@ -7,16 +7,14 @@ import numpy as np
 import pytest
 
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.drive.agents.agent import Agent
-from gsrain_engine.drive.agents.camera_idm import CameraIDMAgent
-from gsrain_engine.drive.agents.registry import AgentOptions, open_agent
-from gsrain_engine.drive.scenario.scenario_files import load_scenario
-from gsrain_engine.drive.simulation.drive import drive
-from gsrain_engine.drive.simulation.simulation import Simulation
-from gsrain_engine.drive.vehicle.bicycle import moved_on
-from gsrain_engine.drive.vehicle.state import Control
-from gsrain_engine.evaluate.detection.detector import Detection
-from gsrain_engine.scene.open_scene import open_to_draw
+from gsrain_engine.evaluation.detection.detector import Detection
+from gsrain_engine.scene.open import open_to_draw
+from gsrain_engine.simulation.agents.base import Agent
+from gsrain_engine.simulation.agents.idm import CameraIDMAgent
+from gsrain_engine.simulation.agents.registry import AgentOptions, open_agent
+from gsrain_engine.simulation.scenario_io import load_scenario
+from gsrain_engine.simulation.simulation import Simulation, drive
+from gsrain_engine.simulation.vehicle import Control, moved_on
 from small_scene import small_scene
 
 from .seen_road import FRONT_M, RIG, VEHICLE, car, observation, seen_car, state

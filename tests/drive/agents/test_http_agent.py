@@ -16,20 +16,15 @@ import pytest
 
 from drive.hugsim.road_with_lead import scenario, scene
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.drive.agents.agent import Agent
-from gsrain_engine.drive.agents.client_error import ClientError
-from gsrain_engine.drive.agents.http_agent import HttpAgent
-from gsrain_engine.drive.agents.http_calls import HttpCalls
-from gsrain_engine.drive.agents.neuroncap_message import neuroncap_message
-from gsrain_engine.drive.agents.observation import CameraView, Observation, Rig
-from gsrain_engine.drive.agents.registry import AgentOptions, open_agent
-from gsrain_engine.drive.road.route import Route
-from gsrain_engine.drive.simulation.drive import drive
-from gsrain_engine.drive.simulation.simulation import Simulation
-from gsrain_engine.drive.vehicle.state import VehicleState
-from gsrain_engine.drive.vehicle.vehicle import Vehicle
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.street.rigs import street_rigs
+from gsrain_engine.scene.street.build import street_rigs
+from gsrain_engine.simulation.agents.base import Agent, CameraView, Observation, Rig
+from gsrain_engine.simulation.agents.http import ClientError, HttpAgent, HttpCalls
+from gsrain_engine.simulation.agents.neuroncap import neuroncap_message
+from gsrain_engine.simulation.agents.registry import AgentOptions, open_agent
+from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.simulation import Simulation, drive
+from gsrain_engine.simulation.vehicle import Vehicle, VehicleState
 
 RIG = Rig(Vehicle(), street_rigs()["nuscenes"], 1.5)
 
@@ -181,7 +176,7 @@ def test_a_node_drives(node):
 
 
 def test_a_node_that_is_still_loading_is_waited_for(node, monkeypatch):
-    monkeypatch.setattr("gsrain_engine.drive.agents.http_agent._PAUSE_S", 0.01)
+    monkeypatch.setattr("gsrain_engine.simulation.agents.http._PAUSE_S", 0.01)
     server = node(sleepy=3)
     HttpAgent(server.url).reset(0, RIG)
     assert server.calls == [("GET", "/alive")] * 4 + [("POST", "/reset")]
@@ -345,7 +340,7 @@ def test_a_drip_is_not_waited_for(raw, start, piece):
     ids=("header", "headers", "100 continue", "body", "chunks", "chunk extension", "trailers"),
 )
 def test_a_flood_ends_at_the_budget(raw, start, piece, monkeypatch):
-    monkeypatch.setattr("gsrain_engine.drive.agents.http_calls._MAX_BYTES", 1 << 20)
+    monkeypatch.setattr("gsrain_engine.simulation.agents.http._MAX_BYTES", 1 << 20)
     with pytest.raises(ClientError, match=r"answers (more than 1 MiB|what is no whole HTTP: .*too long)"):
         raw(flooded(start, piece)).post("/infer", b"{}", 30)
 

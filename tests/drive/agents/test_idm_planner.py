@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.drive.agents.idm_planner import IDMPlanner, cruise_speed
-from gsrain_engine.drive.agents.lane_path import LanePath
-from gsrain_engine.drive.agents.leads.lead import Lead
-from gsrain_engine.drive.road.route import Route
-from gsrain_engine.drive.vehicle.state import VehicleState
+from gsrain_engine.simulation.agents.base import LanePath
+from gsrain_engine.simulation.agents.idm import IDMPlanner, cruise_speed
+from gsrain_engine.simulation.agents.lead_tracking import Lead
+from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.vehicle import VehicleState
 
 STRAIGHT = Route(np.array([[0.0, 0.0], [200.0, 0.0]]))
 

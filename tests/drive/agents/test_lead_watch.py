@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.agents.leads.lead_watch import LeadWatch
-from gsrain_engine.drive.agents.leads.sighting import Sighting
-from gsrain_engine.evaluate.detection.detector import Detection
+from gsrain_engine.evaluation.detection.detector import Detection
+from gsrain_engine.simulation.agents.lead_tracking import LeadWatch, Sighting
 
 DT = 0.25
 

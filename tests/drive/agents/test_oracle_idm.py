@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.agents.agent import Agent
-from gsrain_engine.drive.agents.lane_path import LanePath
-from gsrain_engine.drive.agents.neuroncap_baseline import NeuroNCAPBaselineAgent
-from gsrain_engine.drive.agents.oracle_idm import OracleIDMAgent, known_lead
-from gsrain_engine.drive.road.route import Route
-from gsrain_engine.drive.traffic.road_user import RoadUser
+from gsrain_engine.simulation.agents.base import Agent, LanePath
+from gsrain_engine.simulation.agents.idm import OracleIDMAgent, known_lead
+from gsrain_engine.simulation.agents.neuroncap import NeuroNCAPBaselineAgent
+from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.traffic.base import RoadUser
 
 from .seen_road import RIG, ROUTE, VEHICLE, car, observation, state
 

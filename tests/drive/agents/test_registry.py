@@ -4,13 +4,13 @@ import sys
 
 import pytest
 
-from gsrain_engine.drive.agents import registry
-from gsrain_engine.drive.agents.agent import Agent
-from gsrain_engine.drive.agents.registry import AgentOptions, agent_names, default_agent, open_agent
-from gsrain_engine.evaluate.detection.detector_place import PLACE, find_detector
+from gsrain_engine.evaluation.detection.detector import PLACE, find_detector
+from gsrain_engine.simulation.agents import registry
+from gsrain_engine.simulation.agents.base import Agent
+from gsrain_engine.simulation.agents.registry import AgentOptions, agent_names, default_agent, open_agent
 
 _MODULE = """
-from gsrain_engine.drive.agents.constant_velocity import ConstantVelocityAgent
+from gsrain_engine.simulation.agents.base import ConstantVelocityAgent
 
 class Slow(ConstantVelocityAgent):
     name = "slow"

@@ -2,9 +2,9 @@
 
 import pytest
 
-from gsrain_engine.drive.agents.lane_path import LanePath
-from gsrain_engine.drive.agents.leads.sighting import road_user_class, sightings
-from gsrain_engine.evaluate.detection.detector import Detection
+from gsrain_engine.evaluation.detection.detector import Detection
+from gsrain_engine.simulation.agents.base import LanePath
+from gsrain_engine.simulation.agents.lead_tracking import road_user_class, sightings
 
 from .seen_road import GROUND_M, ROUTE, VEHICLE, camera, seen_car, state
 

@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from gsrain_engine.drive.environment.actions import control_of
-from gsrain_engine.drive.environment.environment import DriveEnvironment
-from gsrain_engine.drive.environment.observations import MOST_ROAD_USERS
-from gsrain_engine.drive.environment.registration import CONTROL_ID, PLAN_ID, register_environments
-from gsrain_engine.drive.environment.reward import Reward
-from gsrain_engine.drive.scenario.scenario import Scenario
-from gsrain_engine.drive.vehicle.vehicle import Vehicle
+from gsrain_engine.simulation.gymnasium.environment import DriveEnvironment, Reward
+from gsrain_engine.simulation.gymnasium.registration import CONTROL_ID, PLAN_ID, register_environments
+from gsrain_engine.simulation.gymnasium.spaces import MOST_ROAD_USERS, control_of
+from gsrain_engine.simulation.scenario import Scenario
+from gsrain_engine.simulation.vehicle import Vehicle
 from small_scene import small_scene
 
 SCENE = small_scene()
@@ -51,7 +49,9 @@ def test_it_is_made_by_name():
 
 
 def test_gymnasium_imports_it_by_its_module():
-    code = "import gymnasium; gymnasium.make('gsrain_engine.drive.environment:gsrain/Drive-v0', scenario='none-such')"
+    code = (
+        "import gymnasium; gymnasium.make('gsrain_engine.simulation.gymnasium:gsrain/Drive-v0', scenario='none-such')"
+    )
     done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
     assert "scenario none-such: no such file" in done.stderr
 

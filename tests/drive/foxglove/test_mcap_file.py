@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from gsrain_engine.drive.foxglove.mcap_file import CameraPicture, write_rollout_mcap
-from gsrain_engine.drive.road.route import Route
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.simulation.interop.mcap import CameraPicture, write_rollout_mcap
+from gsrain_engine.simulation.route import Route
 from small_rollout import approach, ego, rollout, step, user
 
 reader = pytest.importorskip("mcap.reader")

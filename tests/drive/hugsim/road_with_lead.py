@@ -5,11 +5,11 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
-from gsrain_engine.drive.scenario.scenario import Scenario, ScenarioUser
-from gsrain_engine.drive.traffic.constant_velocity import ConstantVelocity
-from gsrain_engine.drive.vehicle.controller_settings import ControllerSettings
-from gsrain_engine.scene.street.rigs import street_rigs
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Track
+from gsrain_engine.scene.street.build import street_rigs
+from gsrain_engine.simulation.controller_base import ControllerSettings
+from gsrain_engine.simulation.scenario import Scenario, ScenarioUser
+from gsrain_engine.simulation.traffic.models import ConstantVelocity
 from small_scene import small_scene
 
 

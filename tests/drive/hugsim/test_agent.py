@@ -11,14 +11,17 @@ import pytest
 
 from drive.hugsim.road_with_lead import scenario, scene
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.drive.agents.agent import Agent, Needs
-from gsrain_engine.drive.agents.client_error import ClientError
-from gsrain_engine.drive.hugsim.agent import HugsimAgent
-from gsrain_engine.drive.hugsim.axes import HugsimWorld
-from gsrain_engine.drive.hugsim.message import camera_params, hugsim_info
-from gsrain_engine.drive.hugsim.setting import all_six, in_hugsim_setting
-from gsrain_engine.drive.simulation.drive import drive
-from gsrain_engine.drive.simulation.simulation import Simulation
+from gsrain_engine.simulation.agents.base import Agent, Needs
+from gsrain_engine.simulation.agents.http import ClientError
+from gsrain_engine.simulation.interop.hugsim_agent import HugsimAgent
+from gsrain_engine.simulation.interop.hugsim_protocol import (
+    HugsimWorld,
+    all_six,
+    camera_params,
+    hugsim_info,
+    in_hugsim_setting,
+)
+from gsrain_engine.simulation.simulation import Simulation, drive
 
 CLIENT = Path(__file__).parent / "client.py"
 
@@ -253,7 +256,7 @@ def test_ctrl_c_does_not_wait_for_a_client(moment, tmp_path, monkeypatch):
     agent = HugsimAgent(tmp_path, command("hang"))
     agent.reset(0, moment[0])
     client = agent._client
-    monkeypatch.setattr("gsrain_engine.drive.hugsim.pipes.Pipes.receive", pressed)
+    monkeypatch.setattr("gsrain_engine.simulation.interop.hugsim_protocol.Pipes.receive", pressed)
     with pytest.raises(KeyboardInterrupt):
         agent.plan(moment[1])
     assert client.ended is not None

@@ -5,14 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.drive.agents.observation import Observation, Rig
-from gsrain_engine.drive.hugsim.axes import HugsimWorld, wrapped
-from gsrain_engine.drive.hugsim.setting import hugsim_rig
-from gsrain_engine.drive.road.route import Route
-from gsrain_engine.drive.traffic.road_user import RoadUser
-from gsrain_engine.drive.vehicle.state import VehicleState
-from gsrain_engine.drive.vehicle.vehicle import HUGSIM_VEHICLE, Vehicle
-from gsrain_engine.scene.street.rigs import street_rigs
+from gsrain_engine.scene.street.build import street_rigs
+from gsrain_engine.simulation.agents.base import Observation, Rig
+from gsrain_engine.simulation.interop.hugsim_protocol import HugsimWorld, hugsim_rig, wrapped
+from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.traffic.base import RoadUser
+from gsrain_engine.simulation.vehicle import HUGSIM_VEHICLE, Vehicle, VehicleState
 
 angles = st.floats(-3, 3)
 metres = st.floats(-50, 50)

@@ -3,16 +3,21 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.agents.observation import CameraView, Observation, Rig
-from gsrain_engine.drive.hugsim.axes import HugsimWorld
-from gsrain_engine.drive.hugsim.message import camera_params, hugsim_info, hugsim_obs
-from gsrain_engine.drive.hugsim.setting import CAMERA_NAMES, all_six, hugsim_rig
-from gsrain_engine.drive.road.route import Route
-from gsrain_engine.drive.traffic.road_user import RoadUser
-from gsrain_engine.drive.vehicle.state import VehicleState
-from gsrain_engine.drive.vehicle.vehicle import HUGSIM_VEHICLE
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.street.rigs import street_rigs
+from gsrain_engine.scene.street.build import street_rigs
+from gsrain_engine.simulation.agents.base import CameraView, Observation, Rig
+from gsrain_engine.simulation.interop.hugsim_protocol import (
+    CAMERA_NAMES,
+    HugsimWorld,
+    all_six,
+    camera_params,
+    hugsim_info,
+    hugsim_obs,
+    hugsim_rig,
+)
+from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.traffic.base import RoadUser
+from gsrain_engine.simulation.vehicle import HUGSIM_VEHICLE, VehicleState
 
 RIG = Rig(HUGSIM_VEHICLE, hugsim_rig(street_rigs()["nuscenes"]), 1.5)
 SIX = all_six(RIG.cameras)

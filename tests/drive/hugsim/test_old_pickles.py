@@ -8,7 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.hugsim.old_pickles import old_pickle
+from gsrain_engine.simulation.interop.hugsim_pickle import old_pickle
 
 VALUE = {
     "image": np.arange(24, dtype=np.uint8).reshape(2, 4, 3), "turned": np.eye(4)[::-1].T, "empty": np.zeros((0, 2)),

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from gsrain_engine.drive.agents.client_error import ClientError
-from gsrain_engine.drive.hugsim.pipes import Patience, Pipes
+from gsrain_engine.simulation.agents.http import ClientError
+from gsrain_engine.simulation.interop.hugsim_protocol import Patience, Pipes
 
 MESSAGE = bytes(range(256)) * 12_000  # 3 MB: more than a pipe holds
 
@@ -86,7 +86,7 @@ def test_a_link_to_nowhere_is_no_pipe(tmp_path):
 
 
 def test_a_name_that_no_file_can_have(tmp_path, monkeypatch):
-    monkeypatch.setattr("gsrain_engine.drive.hugsim.pipes.PLANS", "plan" * 100)
+    monkeypatch.setattr("gsrain_engine.simulation.interop.hugsim_protocol.PLANS", "plan" * 100)
     with pytest.raises(ClientError, match="no pipe can be made: .*name too long"):
         Pipes(tmp_path)
 
@@ -104,7 +104,7 @@ def test_pipes_that_somebody_removes_are_not_waited_for(tmp_path):
 @pytest.mark.parametrize(("looks", "words"), [(5, "ended with exit code 1 before it had answered"), (99, "hung up")])
 def test_a_client_that_lets_go_has_25_looks_to_end_in(monkeypatch, looks, words):
     pauses = []
-    monkeypatch.setattr("gsrain_engine.drive.hugsim.pipes.time", SimpleNamespace(sleep=pauses.append))
+    monkeypatch.setattr("gsrain_engine.simulation.interop.hugsim_protocol.time", SimpleNamespace(sleep=pauses.append))
     watch = patience(600, lambda: "ended with exit code 1" if len(pauses) >= looks else None)
     assert words in str(watch.failed("answered", "it hung up"))
     assert pauses == [0.02] * min(looks, 25)
@@ -112,7 +112,7 @@ def test_a_client_that_lets_go_has_25_looks_to_end_in(monkeypatch, looks, words)
 
 def test_pauses_until_somebody_reads_double_up_to_20_ms(tmp_path, monkeypatch):
     pauses = []
-    monkeypatch.setattr("gsrain_engine.drive.hugsim.pipes.time", SimpleNamespace(sleep=pauses.append))
+    monkeypatch.setattr("gsrain_engine.simulation.interop.hugsim_protocol.time", SimpleNamespace(sleep=pauses.append))
     with pytest.raises(ClientError, match="the client left before it had opened obs_pipe"):
         Pipes(tmp_path).send(b"", patience(600, lambda: "left" if len(pauses) == 8 else None))
     assert pauses == [0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.02, 0.02]
@@ -151,7 +151,7 @@ def test_an_answer_counts_though_its_client_ended(tmp_path):
 
 
 def test_reader_that_leaves(tmp_path, monkeypatch):
-    monkeypatch.setattr("gsrain_engine.drive.hugsim.pipes._MOMENTS", 1)
+    monkeypatch.setattr("gsrain_engine.simulation.interop.hugsim_protocol._MOMENTS", 1)
     pipes = Pipes(tmp_path)
 
     def client():
@@ -164,7 +164,7 @@ def test_reader_that_leaves(tmp_path, monkeypatch):
 
 
 def test_writer_that_says_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr("gsrain_engine.drive.hugsim.pipes._MOMENTS", 1)
+    monkeypatch.setattr("gsrain_engine.simulation.interop.hugsim_protocol._MOMENTS", 1)
     pipes = Pipes(tmp_path)
     other_end(lambda: (tmp_path / "plan_pipe").open("wb").close())
     with pytest.raises(ClientError, match="opened plan_pipe and closed it without an answer"):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.drive.hugsim.plan_frame import to_vehicle_frame
+from gsrain_engine.simulation.interop.hugsim_agent import to_vehicle_frame
 
 
 def test_axes_above_the_axle():

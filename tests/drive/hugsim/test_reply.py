@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.drive.agents.client_error import ClientError
-from gsrain_engine.drive.hugsim.reply import read_reply
+from gsrain_engine.simulation.agents.http import ClientError
+from gsrain_engine.simulation.interop.hugsim_protocol import read_reply
 
 PLAN = np.arange(12.0).reshape(6, 2)
 PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from drive.hugsim.road_with_lead import scenario, scene
-from gsrain_engine.drive.hugsim.setting import CAMERA_NAMES, all_six, hugsim_rig, in_hugsim_setting
-from gsrain_engine.drive.vehicle.vehicle import HUGSIM_VEHICLE
-from gsrain_engine.scene.street.rigs import street_rigs
+from gsrain_engine.scene.street.build import street_rigs
+from gsrain_engine.simulation.interop.hugsim_protocol import CAMERA_NAMES, all_six, hugsim_rig, in_hugsim_setting
+from gsrain_engine.simulation.vehicle import HUGSIM_VEHICLE
 
 
 def named(rig, name):

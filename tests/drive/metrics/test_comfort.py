@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from gsrain_engine.drive.metrics.comfort_executed import comfort_executed, executed_motion
-from gsrain_engine.drive.metrics.comfort_limits import NUPLAN, PAPER
-from gsrain_engine.drive.metrics.comfort_planned import comfort_planned, is_plan_comfortable, planned_motion
+from gsrain_engine.simulation.metrics.comfort import (
+    NUPLAN,
+    PAPER,
+    comfort_executed,
+    comfort_planned,
+    executed_motion,
+    is_plan_comfortable,
+    planned_motion,
+)
 from small_rollout import ego, rollout, step, straight
 
 

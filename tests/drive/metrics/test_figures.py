@@ -7,13 +7,18 @@ import pytest
 from matplotlib.colors import to_rgba
 from msgspec.structs import replace
 
-from gsrain_engine.drive.metrics.birds_eye import birds_eye_sheet
-from gsrain_engine.drive.metrics.comparison import Run, compare
-from gsrain_engine.drive.metrics.curves_over_time import band, curve
-from gsrain_engine.drive.metrics.figures import kinematics_figure, rain_colors, write_figure
-from gsrain_engine.drive.metrics.run_page import drive_report, rollout_hash
-from gsrain_engine.drive.road.route import Route
-from gsrain_engine.evaluate.report.page import report_page
+from gsrain_engine.evaluation.report import report_page
+from gsrain_engine.simulation.metrics.figures import (
+    band,
+    birds_eye_sheet,
+    curve,
+    kinematics_figure,
+    rain_colors,
+    write_figure,
+)
+from gsrain_engine.simulation.metrics.report import drive_report, rollout_hash
+from gsrain_engine.simulation.metrics.summary import Run, compare
+from gsrain_engine.simulation.route import Route
 from small_rollout import approach
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from gsrain_engine.drive.metrics.hd_score import hd_score
-from gsrain_engine.drive.metrics.planned_collisions import planned_collisions
+from gsrain_engine.simulation.metrics.collisions import planned_collisions
+from gsrain_engine.simulation.metrics.hd_score import hd_score
 from small_rollout import approach, ego, rollout, step, straight, user
 
 

@@ -3,12 +3,11 @@
 import msgspec
 import pytest
 
-from gsrain_engine.drive.agents.registry import open_agent
-from gsrain_engine.drive.metrics.summary import measured
-from gsrain_engine.drive.road.drivable import drivable_of
-from gsrain_engine.drive.scenario.scenario import Scenario
-from gsrain_engine.drive.simulation.drive import drive
-from gsrain_engine.drive.simulation.simulation import Simulation
+from gsrain_engine.simulation.agents.registry import open_agent
+from gsrain_engine.simulation.metrics.summary import measured
+from gsrain_engine.simulation.obstacles import drivable_of
+from gsrain_engine.simulation.scenario import Scenario
+from gsrain_engine.simulation.simulation import Simulation, drive
 from small_scene import small_scene
 
 

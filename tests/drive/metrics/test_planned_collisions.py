@@ -5,9 +5,14 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.metrics.logged_traffic import LoggedTraffic
-from gsrain_engine.drive.metrics.planned_collisions import PlannedCollisions, planned_collisions
-from gsrain_engine.drive.metrics.planned_poses import ego_box, planned_poses, with_start
+from gsrain_engine.simulation.metrics.collisions import (
+    LoggedTraffic,
+    PlannedCollisions,
+    ego_box,
+    planned_collisions,
+    planned_poses,
+    with_start,
+)
 from small_rollout import CAR, ego, rollout, step, straight, user
 
 

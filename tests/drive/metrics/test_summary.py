@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from gsrain_engine.drive.metrics.metrics_files import write_metrics_csv
-from gsrain_engine.drive.metrics.summary import DriveMetrics, measured
+from gsrain_engine.simulation.metrics.summary import DriveMetrics, measured, write_metrics_csv
 from small_rollout import approach, ego, rollout, step, user
 
 _PROMISED = (

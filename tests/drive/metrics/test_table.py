@@ -2,8 +2,7 @@
 
 from msgspec.structs import replace
 
-from gsrain_engine.drive.metrics.comparison import Run, compare
-from gsrain_engine.drive.metrics.table import NOT_SAID, results_table
+from gsrain_engine.simulation.metrics.summary import NOT_SAID, Run, compare, results_table
 from small_rollout import approach
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.metrics.collision import first_collision
-from gsrain_engine.drive.metrics.time_to_collision import gaps_m, times_to_collision_s
+from gsrain_engine.simulation.metrics.collisions import first_collision, gaps_m, times_to_collision_s
 from small_rollout import approach, ego, rollout, step, user
 
 

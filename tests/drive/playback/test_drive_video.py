@@ -7,8 +7,8 @@ import pytest
 
 from drive.simulation.small_drive import driven, lead, scene_with_box
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.drive.playback.drive_video import DriveVideo, figure_slots
-from gsrain_engine.drive.playback.played_rollout import PlayedRollout
+from gsrain_engine.simulation.playback import PlayedRollout
+from gsrain_engine.simulation.video import DriveVideo, figure_slots
 
 PAPER = (18, 20, 24)
 

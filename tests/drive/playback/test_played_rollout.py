@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from drive.simulation.small_drive import driven, lead, scene_with_box
-from gsrain_engine.drive.playback.played_rollout import PlayedRollout
+from gsrain_engine.simulation.playback import PlayedRollout
 
 RIGHT, LEFT = -np.pi + 0.2, np.pi - 0.2
 """Headings on both sides of the cut."""

@@ -5,11 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.road.ground import SENSOR_HEIGHT_M, ground_of
-from gsrain_engine.drive.road.height_grid import HeightGrid
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Layer, Scene, Track
+from gsrain_engine.simulation.ground import SENSOR_HEIGHT_M, HeightGrid, ground_of
 from small_scene import patch, small_scene
 
 

@@ -5,17 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.road.drivable import drivable_of
-from gsrain_engine.drive.road.ground import ground_of
-from gsrain_engine.drive.road.occupied_space import CELL_M, occupied_space_of
-from gsrain_engine.drive.road.planar_box import PlanarBox
+from gsrain_engine.scene.flags import Marks, Mask
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.open_scene import cached_street
-from gsrain_engine.scene.street.layout import plan_street
-from gsrain_engine.scene.street.parameters import StreetParameters
+from gsrain_engine.scene.open import cached_street
+from gsrain_engine.scene.scene import Layer
+from gsrain_engine.scene.street.layout import StreetParameters, plan_street
+from gsrain_engine.simulation.geometry import PlanarBox
+from gsrain_engine.simulation.ground import ground_of
+from gsrain_engine.simulation.obstacles import CELL_M, drivable_of, occupied_space_of
 from small_scene import patch, small_scene
 
 

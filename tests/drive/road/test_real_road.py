@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.drive.road.ground import ground_of
-from gsrain_engine.drive.road.occupied_space import occupied_space_of
-from gsrain_engine.drive.road.planar_box import PlanarBox
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.scene import Layer, Scene
+from gsrain_engine.simulation.geometry import PlanarBox
+from gsrain_engine.simulation.ground import ground_of
+from gsrain_engine.simulation.obstacles import occupied_space_of
 
 MIDDLE_S = 1.08
 

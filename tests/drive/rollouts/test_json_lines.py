@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from drive.simulation.small_drive import driven, lead, scene_with_box
-from gsrain_engine.drive.rollouts.json_lines import read_rollout, write_rollout
+from gsrain_engine.simulation.rollout_io import read_rollout, write_rollout
 
 
 @pytest.fixture(scope="module")

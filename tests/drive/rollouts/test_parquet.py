@@ -5,9 +5,12 @@ import sys
 import pytest
 from msgspec.structs import replace
 
-from gsrain_engine.drive.rollouts.files import read_any_rollout
-from gsrain_engine.drive.rollouts.json_lines import write_rollout
-from gsrain_engine.drive.rollouts.parquet import read_rollout_parquet, write_rollout_parquet
+from gsrain_engine.simulation.rollout_io import (
+    read_any_rollout,
+    read_rollout_parquet,
+    write_rollout,
+    write_rollout_parquet,
+)
 from small_rollout import approach
 
 pytest.importorskip("pyarrow")

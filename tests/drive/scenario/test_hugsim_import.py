@@ -2,11 +2,10 @@ import msgspec
 import pytest
 import yaml
 
-from gsrain_engine.drive.scenario.hugsim_import import is_hugsim_scenario
-from gsrain_engine.drive.scenario.scenario_files import load_scenario
-from gsrain_engine.drive.simulation.simulation import Simulation
-from gsrain_engine.drive.vehicle.state import Control
-from gsrain_engine.drive.vehicle.vehicle import HUGSIM_VEHICLE
+from gsrain_engine.simulation.interop.hugsim_scenario import is_hugsim_scenario
+from gsrain_engine.simulation.scenario_io import load_scenario
+from gsrain_engine.simulation.simulation import Simulation
+from gsrain_engine.simulation.vehicle import HUGSIM_VEHICLE, Control
 from small_scene import small_scene
 
 CAR = [2.0, 13.0, -0.3, 0.1, 2.0, "2024_07_05_10_58_02", "ConstantPlanner", {}]

@@ -5,12 +5,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gsrain_engine.drive.scenario.saved_scenario import save_scenario
-from gsrain_engine.drive.scenario.scenario import Scenario
-from gsrain_engine.drive.scenario.scenario_files import load_scenario
-from gsrain_engine.drive.traffic.built_in_vehicles import built_in_vehicle
-from gsrain_engine.drive.traffic.models import user_look
-from gsrain_engine.scene.formats.gaussian_files import write_gaussians
+from gsrain_engine.scene.formats.registry import write_gaussians
+from gsrain_engine.simulation.scenario import Scenario
+from gsrain_engine.simulation.scenario_io import load_scenario, save_scenario
+from gsrain_engine.simulation.traffic.appearance import built_in_vehicle, user_look
 from small_scene import small_scene
 
 TEST = """

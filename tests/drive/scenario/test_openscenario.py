@@ -11,13 +11,12 @@ import pytest
 import xmlschema
 
 from curved_scene import RADIUS_M, curved_scene
-from gsrain_engine.drive.scenario.openscenario.export import write_openscenario
-from gsrain_engine.drive.scenario.scenario import Scenario
-from gsrain_engine.drive.scenario.scenario_files import load_scenario
-from gsrain_engine.drive.simulation.simulation import Simulation
-from gsrain_engine.drive.vehicle.state import Control
-from gsrain_engine.scene.members import Actor
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Actor, Track
+from gsrain_engine.simulation.interop.openscenario_write import write_openscenario
+from gsrain_engine.simulation.scenario import Scenario
+from gsrain_engine.simulation.scenario_io import load_scenario
+from gsrain_engine.simulation.simulation import Simulation
+from gsrain_engine.simulation.vehicle import Control
 from small_scene import small_scene
 
 SCHEMAS = Path(str(resources.files("scenariogeneration"))).parent / "schemas"
@@ -308,7 +307,7 @@ def test_what_is_neither_vehicle_nor_person_needs_a_model(tmp_path):
 def test_reading_needs_no_package_and_writing_says_which(tmp_path, monkeypatch):
     code = (
         "import sys; sys.modules['scenariogeneration'] = None\n"
-        "from gsrain_engine.drive.scenario.scenario_files import load_scenario\n"
+        "from gsrain_engine.simulation.scenario_io import load_scenario\n"
         f"print(load_scenario({str(foreign(tmp_path))!r}).rain.intensity_mm_h)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "4.0\n"

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 
 from curved_scene import RADIUS_M, curved_scene
-from gsrain_engine.drive.road.route import recorded_route
-from gsrain_engine.drive.scenario.scenario import Scenario
-from gsrain_engine.drive.scenario.start import start_place, start_state
-from gsrain_engine.drive.simulation.simulation import Simulation
+from gsrain_engine.simulation.route import recorded_route
+from gsrain_engine.simulation.scenario import Scenario, start_place, start_state
+from gsrain_engine.simulation.simulation import Simulation
 from small_scene import small_scene
 
 SCENE = curved_scene()

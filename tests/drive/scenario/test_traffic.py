@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from drive.simulation.small_drive import box_actor, in_other_units, lead, scenario, scene_with_box
-from gsrain_engine.drive.road.ground import ground_of
-from gsrain_engine.drive.road.route import recorded_route
-from gsrain_engine.drive.scenario.traffic import Traffic
-from gsrain_engine.drive.simulation.road_scene import RoadScene
-from gsrain_engine.drive.traffic.recorded_track import RecordedTrack
-from gsrain_engine.drive.traffic.road_user import RoadUser
+from gsrain_engine.simulation.ground import ground_of
+from gsrain_engine.simulation.route import recorded_route
+from gsrain_engine.simulation.scenario import Traffic
+from gsrain_engine.simulation.simulation import RoadScene
+from gsrain_engine.simulation.traffic.base import RoadUser
+from gsrain_engine.simulation.traffic.tracks import RecordedTrack
 from small_scene import small_scene
 
 EGO = RoadUser("ego", "car", (4.6, 1.85, 1.5), 1.3, 0.0, 0.0, 4.0)

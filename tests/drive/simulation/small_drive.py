@@ -5,14 +5,11 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
-from gsrain_engine.drive.agents.agent import Needs, Plan
-from gsrain_engine.drive.scenario.scenario import Scenario
-from gsrain_engine.drive.simulation.drive import drive
-from gsrain_engine.drive.simulation.simulation import Simulation
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.members import Actor
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Actor, Scene, Track
+from gsrain_engine.simulation.agents.base import Needs, Plan
+from gsrain_engine.simulation.scenario import Scenario
+from gsrain_engine.simulation.simulation import Simulation, drive
 from small_scene import patch, small_scene
 
 

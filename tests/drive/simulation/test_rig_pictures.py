@@ -7,12 +7,12 @@ import pytest
 
 from drive.simulation.small_drive import scenario
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.drive.agents.agent import Needs
-from gsrain_engine.drive.simulation import rig_pictures
-from gsrain_engine.drive.simulation.rig_pictures import RigPictures
-from gsrain_engine.drive.simulation.simulation import Simulation
-from gsrain_engine.drive.vehicle.state import Control
-from gsrain_engine.rain.rain import Rain
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.simulation import sensors
+from gsrain_engine.simulation.agents.base import Needs
+from gsrain_engine.simulation.sensors import RigPictures
+from gsrain_engine.simulation.simulation import Simulation
+from gsrain_engine.simulation.vehicle import Control
 from small_scene import small_scene
 
 AHEAD_M, LEFT_M = 1.7, 0.4
@@ -30,13 +30,13 @@ def scene():
 @pytest.fixture
 def shots(monkeypatch):
     """What is drawn from now on."""
-    found, draw = [], rig_pictures.draw_shot
+    found, draw = [], sensors.draw_shot
 
     def watched(renderer, scene, rainfall, sky, shot, **options):
         found.append(shot)
         draw(renderer, scene, rainfall, sky, shot, **options)
 
-    monkeypatch.setattr(rig_pictures, "draw_shot", watched)
+    monkeypatch.setattr(sensors, "draw_shot", watched)
     return found
 
 

@@ -3,8 +3,8 @@ from dataclasses import replace
 
 import pytest
 
-from gsrain_engine.drive.scenario.scenario import Scenario
-from gsrain_engine.drive.simulation.simulation import Simulation
+from gsrain_engine.simulation.scenario import Scenario
+from gsrain_engine.simulation.simulation import Simulation
 from small_scene import small_scene
 
 

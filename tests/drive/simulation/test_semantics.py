@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from drive.simulation.small_drive import box_actor
-from gsrain_engine.drive.simulation.semantics import UNKNOWN, semantic_ids
-from gsrain_engine.scene.open_scene import cached_street
+from gsrain_engine.scene.open import cached_street
+from gsrain_engine.simulation.sensors import UNKNOWN, semantic_ids
 from small_scene import small_scene
 
 

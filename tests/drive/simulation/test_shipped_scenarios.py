@@ -2,11 +2,10 @@
 
 import pytest
 
-from gsrain_engine.drive.agents.registry import open_agent
-from gsrain_engine.drive.scenario.scenario_files import load_scenario
-from gsrain_engine.drive.simulation.drive import drive
-from gsrain_engine.drive.simulation.simulation import Simulation
-from gsrain_engine.scene.open_scene import cached_street
+from gsrain_engine.scene.open import cached_street
+from gsrain_engine.simulation.agents.registry import open_agent
+from gsrain_engine.simulation.scenario_io import load_scenario
+from gsrain_engine.simulation.simulation import Simulation, drive
 
 
 @pytest.fixture(scope="module")

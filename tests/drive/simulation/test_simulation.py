@@ -8,13 +8,12 @@ import pytest
 
 from drive.simulation.small_drive import StraightOn, box_actor, driven, in_other_units, lead, scenario, scene_with_box
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.drive.agents.agent import Needs, Plan
-from gsrain_engine.drive.rollouts.json_lines import read_rollout, write_rollout
-from gsrain_engine.drive.rollouts.rollout import BACKGROUND
-from gsrain_engine.drive.simulation.drive import drive, drive_through
-from gsrain_engine.drive.simulation.simulation import Simulation
-from gsrain_engine.drive.vehicle.state import Control
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Track
+from gsrain_engine.simulation.agents.base import Needs, Plan
+from gsrain_engine.simulation.rollout import BACKGROUND
+from gsrain_engine.simulation.rollout_io import read_rollout, write_rollout
+from gsrain_engine.simulation.simulation import Simulation, drive, drive_through
+from gsrain_engine.simulation.vehicle import Control
 from small_scene import small_scene
 
 

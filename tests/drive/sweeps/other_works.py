@@ -4,7 +4,7 @@ import os
 import signal
 from pathlib import Path
 
-from gsrain_engine.drive.sweeps.outcome import Outcome
+from gsrain_engine.sweep.worker import Outcome
 
 
 def answer(job):

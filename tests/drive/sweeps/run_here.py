@@ -3,11 +3,11 @@
 import sys
 from pathlib import Path
 
-from gsrain_engine.drive.sweeps.expansion import jobs_of
-from gsrain_engine.drive.sweeps.local_pool import LocalPool
-from gsrain_engine.drive.sweeps.run import run_sweep
-from gsrain_engine.drive.sweeps.sweep import load_sweep
-from gsrain_engine.drive.sweeps.sweep_folder import SweepFolder
+from gsrain_engine.sweep.executors import LocalPool
+from gsrain_engine.sweep.expansion import jobs_of
+from gsrain_engine.sweep.results import SweepFolder
+from gsrain_engine.sweep.run import run_sweep
+from gsrain_engine.sweep.settings import load_sweep
 
 if __name__ == "__main__":
     folder = SweepFolder(Path(sys.argv[2]))

@@ -6,10 +6,10 @@ import msgspec
 import numpy as np
 import yaml
 
-from gsrain_engine.drive.sweeps.expansion import jobs_of
-from gsrain_engine.drive.sweeps.sweep import DriveSweep
-from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.scene import Track
+from gsrain_engine.sweep.expansion import jobs_of
+from gsrain_engine.sweep.settings import DriveSweep
 from small_scene import small_scene
 
 

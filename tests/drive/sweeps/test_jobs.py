@@ -2,8 +2,8 @@ import msgspec
 import pytest
 
 from extension_package import installed
-from gsrain_engine.drive.sweeps.expansion import jobs_of
-from gsrain_engine.drive.sweeps.sweep import DriveSweep, RenderSweep, load_sweep, sweep_names
+from gsrain_engine.sweep.expansion import jobs_of
+from gsrain_engine.sweep.settings import DriveSweep, RenderSweep, load_sweep, sweep_names
 
 from .small_sweep import small_jobs, sweep_of, write_road, write_scenario
 

@@ -5,9 +5,8 @@ from functools import partial
 import pytest
 from msgspec import structs
 
-from gsrain_engine.drive.sweeps import local_pool
-from gsrain_engine.drive.sweeps.local_pool import LocalPool, next_job
-from gsrain_engine.drive.sweeps.pool_worker import PoolWorker
+from gsrain_engine.sweep import executors
+from gsrain_engine.sweep.executors import LocalPool, PoolWorker, next_job
 
 from .other_works import answer, die_once, die_over_one
 from .small_sweep import small_jobs
@@ -38,7 +37,7 @@ def test_closing_ends_its_workers(tmp_path, monkeypatch):
         workers.append(PoolWorker(*told))
         return workers[-1]
 
-    monkeypatch.setattr(local_pool, "PoolWorker", hired)
+    monkeypatch.setattr(executors, "PoolWorker", hired)
     with closing(LocalPool(1).outcomes(answer, small_jobs(tmp_path))) as outcomes:
         next(outcomes)
         assert [worker.exit_code for worker in workers] == [None]

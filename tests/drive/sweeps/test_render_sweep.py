@@ -7,14 +7,14 @@ import pytest
 from PIL import Image
 
 from boxy_scene import boxy_scene
-from gsrain_engine.drive.sweeps.engine import HereEngine
-from gsrain_engine.drive.sweeps.expansion import jobs_of
-from gsrain_engine.drive.sweeps.run import SweepRun, run_sweep
-from gsrain_engine.drive.sweeps.sweep import RenderSweep
-from gsrain_engine.drive.sweeps.sweep_folder import SweepFolder
-from gsrain_engine.drive.sweeps.table import write_tables
-from gsrain_engine.drive.sweeps.workbench import workbench
-from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.sweep.executors import HereEngine
+from gsrain_engine.sweep.expansion import jobs_of
+from gsrain_engine.sweep.report import write_tables
+from gsrain_engine.sweep.results import SweepFolder
+from gsrain_engine.sweep.run import SweepRun, run_sweep
+from gsrain_engine.sweep.settings import RenderSweep
+from gsrain_engine.sweep.worker import workbench
 
 
 @pytest.fixture(scope="module")

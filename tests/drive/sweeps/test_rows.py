@@ -3,12 +3,11 @@ import io
 
 import msgspec
 
-from gsrain_engine.drive.metrics.summary import DriveMetrics
-from gsrain_engine.drive.sweeps.engine import HereEngine
-from gsrain_engine.drive.sweeps.outcome import Outcome
-from gsrain_engine.drive.sweeps.row import columns_of, comma_separated, parquet, row_of, rows_in
-from gsrain_engine.drive.sweeps.run import run_sweep
-from gsrain_engine.drive.sweeps.sweep_folder import SweepFolder
+from gsrain_engine.simulation.metrics.summary import DriveMetrics
+from gsrain_engine.sweep.executors import HereEngine
+from gsrain_engine.sweep.results import SweepFolder, columns_of, comma_separated, parquet, row_of, rows_in
+from gsrain_engine.sweep.run import run_sweep
+from gsrain_engine.sweep.worker import Outcome
 
 from .small_sweep import small_jobs
 

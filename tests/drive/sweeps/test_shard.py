@@ -1,6 +1,6 @@
 import pytest
 
-from gsrain_engine.drive.sweeps.shard import Shard
+from gsrain_engine.sweep.expansion import Shard
 
 from .small_sweep import small_jobs
 

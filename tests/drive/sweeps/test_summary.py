@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from msgspec import msgpack
 
-from gsrain_engine.drive.sweeps.figures import scenario_figure
-from gsrain_engine.drive.sweeps.row import columns_of
-from gsrain_engine.drive.sweeps.summary import summarized
+from gsrain_engine.sweep.report import scenario_figure
+from gsrain_engine.sweep.results import columns_of, summarized
 
 
 def row(seed, intensity, *, collision=False, ttc=2.0, failed=False, agent="one", c=0.1):

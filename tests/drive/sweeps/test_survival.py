@@ -9,11 +9,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gsrain_engine.drive.sweeps.engine import HereEngine
-from gsrain_engine.drive.sweeps.expansion import jobs_of
-from gsrain_engine.drive.sweeps.local_pool import LocalPool
-from gsrain_engine.drive.sweeps.run import run_sweep
-from gsrain_engine.drive.sweeps.sweep_folder import SweepFolder
+from gsrain_engine.sweep.executors import HereEngine, LocalPool
+from gsrain_engine.sweep.expansion import jobs_of
+from gsrain_engine.sweep.results import SweepFolder
+from gsrain_engine.sweep.run import run_sweep
 
 from .small_sweep import sweep_of, write_road, write_scenario
 
@@ -74,7 +73,7 @@ def test_a_killed_sweep_and_another_that_goes_on(sweep, expected, tmp_path):
 
 def test_a_killed_worker_of_a_dask_cluster(sweep, expected, tmp_path):
     distributed = pytest.importorskip("distributed")
-    from gsrain_engine.drive.sweeps.dask_cluster import DaskCluster
+    from gsrain_engine.sweep.executors import DaskCluster
 
     jobs, folder = jobs_of(sweep), SweepFolder(tmp_path)
     with distributed.LocalCluster(2, threads_per_worker=1, processes=True, dashboard_address=":0") as local:
@@ -91,7 +90,7 @@ def test_a_killed_worker_of_a_dask_cluster(sweep, expected, tmp_path):
 
 def test_a_cluster_that_does_not_answer_is_said_in_a_sentence(monkeypatch):
     pytest.importorskip("distributed")
-    from gsrain_engine.drive.sweeps import dask_cluster
+    from gsrain_engine.sweep import executors as dask_cluster
 
     monkeypatch.setattr(dask_cluster, "_ANSWERS_WITHIN_S", 0.2)
     with pytest.raises(ValueError, match="no Dask scheduler answers at tcp://127.0.0.1:1"):

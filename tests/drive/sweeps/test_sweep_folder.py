@@ -5,12 +5,12 @@ import sys
 import pytest
 from msgspec import structs
 
-from gsrain_engine.drive.rollouts.json_lines import read_rollout
-from gsrain_engine.drive.sweeps import sweep_folder
-from gsrain_engine.drive.sweeps.engine import HereEngine
-from gsrain_engine.drive.sweeps.outcome import Outcome
-from gsrain_engine.drive.sweeps.run import SweepRun, run_sweep
-from gsrain_engine.drive.sweeps.sweep_folder import SweepFolder
+from gsrain_engine.simulation.rollout_io import read_rollout
+from gsrain_engine.sweep import results
+from gsrain_engine.sweep.executors import HereEngine
+from gsrain_engine.sweep.results import SweepFolder
+from gsrain_engine.sweep.run import SweepRun, run_sweep
+from gsrain_engine.sweep.worker import Outcome
 
 from .other_works import answer
 from .small_sweep import small_jobs, sweep_of
@@ -80,7 +80,7 @@ def test_a_full_disk_stops_it_with_a_sentence_and_loses_nothing(tmp_path, monkey
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         written.append(path)
 
-    monkeypatch.setattr(sweep_folder, "write_rollout", full)
+    monkeypatch.setattr(results, "write_rollout", full)
     with pytest.raises(OSError, match="stopped after 2 rows: No space left on device; what was written is whole"):
         finished(run_sweep(jobs, HereEngine(), folder))
     assert folder.to_do(jobs) == jobs[2:]

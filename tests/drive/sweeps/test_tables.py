@@ -5,11 +5,10 @@ import pytest
 from msgspec import structs
 from PIL import Image
 
-from gsrain_engine.drive.sweeps.expansion import jobs_of
-from gsrain_engine.drive.sweeps.row import rows_in
-from gsrain_engine.drive.sweeps.sweep_folder import SweepFolder
-from gsrain_engine.drive.sweeps.table import write_tables
-from gsrain_engine.drive.sweeps.work import do
+from gsrain_engine.sweep.expansion import jobs_of
+from gsrain_engine.sweep.report import write_tables
+from gsrain_engine.sweep.results import SweepFolder, rows_in
+from gsrain_engine.sweep.worker import do
 
 from .small_sweep import sweep_of, write_road, write_scenario
 

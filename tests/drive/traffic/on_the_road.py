@@ -3,11 +3,10 @@
 import msgspec
 import numpy as np
 
-from gsrain_engine.drive.road.route import Route
-from gsrain_engine.drive.traffic.behaviour import Behaviour, Surroundings
-from gsrain_engine.drive.traffic.behaviours import BehaviourSettings
-from gsrain_engine.drive.traffic.road_user import RoadUser
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.traffic.base import Behaviour, RoadUser, Surroundings
+from gsrain_engine.simulation.traffic.models import BehaviourSettings
 
 STRAIGHT = Route(np.array([[0.0, 0.0], [200.0, 0.0]]))
 SIZE = (4.0, 2.0, 1.5)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from drive.traffic.on_the_road import car, moves, settings
-from gsrain_engine.drive.road.route import Route
-from gsrain_engine.drive.traffic.cut_in import quintic, quintic_rate
-from gsrain_engine.drive.traffic.speed_change import changed_speed
+from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.traffic.base import changed_speed
+from gsrain_engine.simulation.traffic.models import quintic, quintic_rate
 
 
 def test_the_quintic_begins_and_ends_without_lateral_speed_or_acceleration():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from drive.traffic.on_the_road import STRAIGHT, car, moves, settings
-from gsrain_engine.drive.road.route import Route
-from gsrain_engine.drive.traffic.in_lane import InLane, ahead_in_lane
+from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.traffic.base import InLane, ahead_in_lane
 
 
 def test_on_a_free_road_it_accelerates_by_one_less_the_fourth_power():

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.traffic.models import user_look
-from gsrain_engine.scene.formats.gaussian_files import write_gaussians
+from gsrain_engine.scene.formats.registry import write_gaussians
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
-from gsrain_engine.scene.members import Actor
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Actor, Track
+from gsrain_engine.simulation.traffic.appearance import user_look
 from small_scene import patch, small_scene
 
 

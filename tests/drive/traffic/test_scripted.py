@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from drive.traffic.on_the_road import car, moves, settings
-from gsrain_engine.drive.rollouts.json_lines import write_rollout
-from gsrain_engine.drive.rollouts.rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
-from gsrain_engine.drive.traffic.behaviours import BehaviourSettings
-from gsrain_engine.scene.members import Actor
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Actor, Track
+from gsrain_engine.simulation.rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
+from gsrain_engine.simulation.rollout_io import write_rollout
+from gsrain_engine.simulation.traffic.models import BehaviourSettings
 from small_scene import patch, small_scene
 
 

@@ -3,9 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.drive.vehicle.bicycle import limited, moved_on
-from gsrain_engine.drive.vehicle.state import Control, VehicleState
-from gsrain_engine.drive.vehicle.vehicle import Vehicle
+from gsrain_engine.simulation.vehicle import Control, Vehicle, VehicleState, limited, moved_on
 
 CAR = Vehicle()
 

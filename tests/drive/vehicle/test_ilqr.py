@@ -4,13 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller_loop import CAR, STRAIGHT, circle, driven, lane_change
-from gsrain_engine.drive.vehicle.bicycle import moved_on
-from gsrain_engine.drive.vehicle.controller import Controller
-from gsrain_engine.drive.vehicle.controller_settings import ControllerSettings
-from gsrain_engine.drive.vehicle.controllers import open_controller
-from gsrain_engine.drive.vehicle.ilqr import ILQRTracker
-from gsrain_engine.drive.vehicle.pure_pursuit import PurePursuit
-from gsrain_engine.drive.vehicle.state import Control, VehicleState
+from gsrain_engine.simulation.controller_base import Controller, ControllerSettings, PurePursuit
+from gsrain_engine.simulation.controllers import ILQRTracker, open_controller
+from gsrain_engine.simulation.vehicle import Control, VehicleState, moved_on
 
 AHEAD = np.stack([2.5 * np.arange(1, 7), np.zeros(6)], axis=1)
 STAND = np.zeros((6, 2))

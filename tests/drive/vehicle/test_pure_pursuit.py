@@ -4,10 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller_loop import CAR, STRAIGHT, circle, driven, lane_change
-from gsrain_engine.drive.vehicle.bicycle import moved_on
-from gsrain_engine.drive.vehicle.controller import Controller
-from gsrain_engine.drive.vehicle.pure_pursuit import PurePursuit
-from gsrain_engine.drive.vehicle.state import VehicleState
+from gsrain_engine.simulation.controller_base import Controller, PurePursuit
+from gsrain_engine.simulation.vehicle import VehicleState, moved_on
 
 
 def test_it_is_a_controller_and_leaves_a_straight_drive_alone():

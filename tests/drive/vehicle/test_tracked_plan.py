@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.vehicle.reachable_plan import reachable
-from gsrain_engine.drive.vehicle.tracked_plan import tracked_states
+from gsrain_engine.simulation.controller_base import reachable, tracked_states
 
 STAND = np.zeros((6, 2))
 

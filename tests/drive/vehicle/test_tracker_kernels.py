@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.drive.vehicle.tracker_kernels import improved, linearized, moved, policy, rolled_out
+from gsrain_engine.simulation.controllers import improved, linearized, moved, policy, rolled_out
 
 DT, WHEELBASE = 0.5, 2.7
 LIMITS = np.array([3.0, 3.0, 0.4, np.pi / 3])

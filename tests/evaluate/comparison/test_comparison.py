@@ -5,18 +5,21 @@ import os
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.transferred_folder import is_transferred_folder
-from gsrain_engine.evaluate.comparison.agreement import PairedViews
-from gsrain_engine.evaluate.comparison.figure import comparison_figure, shown_views
-from gsrain_engine.evaluate.comparison.method_folders import MethodFolder, method_folder
-from gsrain_engine.evaluate.comparison.run import run_comparison
-from gsrain_engine.evaluate.comparison.settings import ComparedMethod, Comparison, load_comparison
-from gsrain_engine.evaluate.comparison.source import capture_source, real_pictures
-from gsrain_engine.evaluate.comparison.stamp import stamp
-from gsrain_engine.evaluate.comparison.table import markdown
-from gsrain_engine.evaluate.distribution.extractor import ExtractorChoice
-from gsrain_engine.evaluate.distribution.extractors import open_extractor
-from gsrain_engine.shipped_configs import shipped_names
+from gsrain_engine.appearance.output_folder import is_transferred_folder
+from gsrain_engine.evaluation.compare_results import ComparedMethod, Comparison, PairedViews, load_comparison, markdown
+from gsrain_engine.evaluation.compare_translators import (
+    MethodFolder,
+    capture_source,
+    comparison_figure,
+    method_folder,
+    real_pictures,
+    run_comparison,
+    shown_views,
+)
+from gsrain_engine.evaluation.fid_features import ExtractorChoice
+from gsrain_engine.evaluation.fid_registry import open_extractor
+from gsrain_engine.evaluation.input_fingerprint import stamp
+from gsrain_engine.presets import shipped_names
 from tests.app.picture_sets import write_pictures
 from tests.reconstruct.drive_capture import drive_capture
 

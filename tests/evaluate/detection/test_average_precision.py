@@ -5,9 +5,9 @@ import pytest
 
 pytest.importorskip("pycocotools")
 
-from gsrain_engine.evaluate.detection.average_precision import average_precision
-from gsrain_engine.evaluate.detection.detector import Detection
-from gsrain_engine.evaluate.detection.suppression import intersection_over_union
+from gsrain_engine.evaluation.detection.decoders import intersection_over_union
+from gsrain_engine.evaluation.detection.detector import Detection
+from gsrain_engine.evaluation.detection.metrics import average_precision
 
 IOUS = np.arange(0.5, 0.96, 0.05)
 

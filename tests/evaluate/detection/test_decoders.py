@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluate.detection.decoders import Layout, decoded
-from gsrain_engine.evaluate.detection.description import DetectorDescription
+from gsrain_engine.evaluation.detection.decoders import Layout, decoded
+from gsrain_engine.evaluation.detection.description import DetectorDescription
 
 WIDTH, HEIGHT = 96, 64
 

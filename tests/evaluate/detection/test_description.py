@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from gsrain_engine.evaluate.detection.description import description_names, load_description
-from gsrain_engine.scene.coco_classes import COCO_CLASSES, coco_class
+from gsrain_engine.evaluation.detection.description import description_names, load_description
+from gsrain_engine.scene.objects import COCO_CLASSES, coco_class
 
 
 def test_every_shipped_description_is_one():

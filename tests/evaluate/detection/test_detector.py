@@ -8,7 +8,7 @@ pytest.importorskip("onnx")
 
 from onnx import TensorProto
 
-from gsrain_engine.evaluate.detection.detector import open_detector
+from gsrain_engine.evaluation.detection.detector import open_detector
 
 from .tiny_onnx import NAMES, rows, write_constant, write_red_finder
 

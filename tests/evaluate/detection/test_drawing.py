@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluate.detection.detector import Detection
-from gsrain_engine.evaluate.detection.drawing import color_of, drawn
+from gsrain_engine.evaluation.detection.detector import Detection
+from gsrain_engine.evaluation.detection.drawing import color_of, drawn
 
 PICTURE = np.full((360, 640, 3), 90, np.uint8)
 BOX = (200.0, 120.0, 400.0, 280.0)

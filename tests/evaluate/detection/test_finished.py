@@ -5,13 +5,10 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluate.detection.detector import Detection
-from gsrain_engine.evaluate.detection.finished import Finished
-from gsrain_engine.evaluate.detection.frames import JudgedFrame
-from gsrain_engine.evaluate.detection.pictures import Trial
-from gsrain_engine.evaluate.detection.sweep import Memory, judged
-from gsrain_engine.evaluate.detection.truth import LabelledObject
-from gsrain_engine.render.scene_view import Shot
+from gsrain_engine.evaluation.detection.detector import Detection
+from gsrain_engine.evaluation.detection.ground_truth import LabelledObject
+from gsrain_engine.evaluation.detection.run import Finished, JudgedFrame, Memory, Trial, judged
+from gsrain_engine.render.draw import Shot
 from gsrain_engine.scene.camera import Camera
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)

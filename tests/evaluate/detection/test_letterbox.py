@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.evaluate.detection.description import DetectorDescription
-from gsrain_engine.evaluate.detection.letterbox import network_input, placed
+from gsrain_engine.evaluation.detection.description import DetectorDescription
+from gsrain_engine.evaluation.detection.detector import network_input, placed
 
 SIDES = st.integers(1, 3000)
 FITS = st.sampled_from(["letterbox", "letterbox_corner", "stretch"])

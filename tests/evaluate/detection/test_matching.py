@@ -2,8 +2,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.evaluate.detection.detector import Detection
-from gsrain_engine.evaluate.detection.matching import Boxed, matched
+from gsrain_engine.evaluation.detection.detector import Detection
+from gsrain_engine.evaluation.detection.metrics import Boxed, matched
 
 CAR = (0.0, 0.0, 100.0, 100.0)
 """Anything with a class and a box can be labelled; here a detection stands for it."""

@@ -8,8 +8,8 @@ import pytest
 
 pytest.importorskip("onnxruntime")
 
-from gsrain_engine.evaluate.detection.detector import Detection, Detector, open_detector
-from gsrain_engine.evaluate.detection.matching import matched
+from gsrain_engine.evaluation.detection.detector import Detection, Detector, open_detector
+from gsrain_engine.evaluation.detection.metrics import matched
 
 INT8 = 0.06
 """Confidences of whole-number weights differ so much between processors."""

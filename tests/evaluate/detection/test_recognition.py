@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("onnxruntime")
 pytest.importorskip("onnx")
 
-from gsrain_engine.evaluate.detection.detector import open_detector
+from gsrain_engine.evaluation.detection.detector import open_detector
 
 from .tiny_onnx import NAMES, rows, write_constant
 

@@ -3,8 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluate.detection.distance_recall import recall_by_distance
-from gsrain_engine.evaluate.detection.robustness import robustness
+from gsrain_engine.evaluation.detection.metrics import recall_by_distance, robustness
 
 
 def test_performance_under_rain_is_the_mean_and_its_share_of_the_clear():

@@ -3,17 +3,27 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluate.detection.curves import object_figure, pixels, precision_figure, shown_objects
-from gsrain_engine.evaluate.detection.detector import Detection
-from gsrain_engine.evaluate.detection.frames import JudgedFrame
-from gsrain_engine.evaluate.detection.pictures import Trial
-from gsrain_engine.evaluate.detection.sheet import detection_sheet
-from gsrain_engine.evaluate.detection.summary import Change, distance_scores, plain, robustness_of, scores
-from gsrain_engine.evaluate.detection.sweep import JudgedPicture, Row, judged, rows_of
-from gsrain_engine.evaluate.detection.table import write_csv, write_parquet
-from gsrain_engine.evaluate.detection.truth import LabelledObject
-from gsrain_engine.evaluate.series_styles import legend_columns, legend_width_in, series_styles, shades
-from gsrain_engine.render.scene_view import Shot
+from gsrain_engine.evaluation.detection.detector import Detection
+from gsrain_engine.evaluation.detection.figures import (
+    detection_sheet,
+    object_figure,
+    pixels,
+    precision_figure,
+    shown_objects,
+)
+from gsrain_engine.evaluation.detection.ground_truth import LabelledObject
+from gsrain_engine.evaluation.detection.run import JudgedFrame, JudgedPicture, Row, Trial, judged, rows_of
+from gsrain_engine.evaluation.detection.summary import (
+    Change,
+    distance_scores,
+    plain,
+    robustness_of,
+    scores,
+    write_csv,
+    write_parquet,
+)
+from gsrain_engine.evaluation.plot_styles import legend_columns, legend_width_in, series_styles, shades
+from gsrain_engine.render.draw import Shot
 from gsrain_engine.scene.camera import Camera
 
 pytest.importorskip("pycocotools")

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.evaluate.detection.suppression import intersection_over_union, kept_boxes
+from gsrain_engine.evaluation.detection.decoders import intersection_over_union, kept_boxes
 
 COORDINATES = st.integers(0, 12)
 BOXES = st.lists(st.tuples(COORDINATES, COORDINATES, COORDINATES, COORDINATES), min_size=1, max_size=12)

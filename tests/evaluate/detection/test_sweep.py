@@ -6,23 +6,30 @@ import numpy as np
 import pytest
 
 from boxy_scene import boxy_scene
-from gsrain_engine.appearance.views.placed_camera import PlacedCamera
+from gsrain_engine.appearance.scene_views import PlacedCamera
 from gsrain_engine.datasets.capture import Capture, TrackedBox, View
-from gsrain_engine.evaluate.detection.class_names import label_class, names_class
-from gsrain_engine.evaluate.detection.detector import Detection
-from gsrain_engine.evaluate.detection.frames import JudgedFrame, recorded_frames, scene_frames, shot_in
-from gsrain_engine.evaluate.detection.pictures import Pictures, Trial, trials_of
-from gsrain_engine.evaluate.detection.summary import scores
-from gsrain_engine.evaluate.detection.sweep import judged, judged_pictures, rows_of
-from gsrain_engine.evaluate.detection.truth import LabelledObject
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.render.scene_view import Shot
+from gsrain_engine.evaluation.detection.detector import Detection
+from gsrain_engine.evaluation.detection.ground_truth import LabelledObject, label_class, names_class
+from gsrain_engine.evaluation.detection.run import (
+    JudgedFrame,
+    Pictures,
+    Trial,
+    judged,
+    judged_pictures,
+    recorded_frames,
+    rows_of,
+    scene_frames,
+    shot_in,
+    trials_of,
+)
+from gsrain_engine.evaluation.detection.summary import scores
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.draw import Shot
 from gsrain_engine.render.sky_color import Sky
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.rig import rig_camera
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Scene, Track
 from small_scene import small_scene
 
 SKY = Sky((0.8, 0.8, 0.8), True)

@@ -7,15 +7,17 @@ import pytest
 
 from boxy_scene import boxy_scene
 from gsrain_engine.datasets.capture import TrackedBox
-from gsrain_engine.evaluate.detection.coco_file import read_coco
-from gsrain_engine.evaluate.detection.truth import LabelledObject
-from gsrain_engine.evaluate.detection.truth_from_boxes import truth_from_boxes
-from gsrain_engine.evaluate.detection.truth_from_scene import truth_from_scene
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
+from gsrain_engine.evaluation.detection.ground_truth import (
+    LabelledObject,
+    read_coco,
+    truth_from_boxes,
+    truth_from_scene,
+)
+from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.objects import scene_objects
 from gsrain_engine.scene.rig import rig_camera
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Track
 
 AHEAD = np.array([[0.0, -1, 0, 0], [0, 0, -1, 1.5], [1, 0, 0, 0], [0, 0, 0, 1]])
 CAMERA = Camera(200, 100, 100.0, 100.0, 100.0, 50.0, AHEAD)

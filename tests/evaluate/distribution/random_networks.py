@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.evaluate.weight_file import write_arrays
+from gsrain_engine.evaluation.lpips_weights import write_arrays
 
 
 def random_arrays(make, seed=0):
     """Arrays for every name of a network, of sizes at which signals neither die nor explode."""
     random = np.random.default_rng(seed)
-    from gsrain_engine.evaluate.distribution.frozen_network import hollow  # torch is an extra
+    from gsrain_engine.evaluation.networks import hollow  # torch is an extra
 
     arrays: dict[str, np.ndarray] = {}
     for name, tensor in hollow(make).state_dict().items():
@@ -26,7 +26,7 @@ def random_arrays(make, seed=0):
 
 
 def write_inception(file: Path, seed=0) -> Path:
-    from gsrain_engine.evaluate.distribution.inception import Inception
+    from gsrain_engine.evaluation.networks import Inception
 
     write_arrays(file, {**random_arrays(Inception, seed), "fc.weight": np.zeros((1008, 2048), np.float32)})
     return file

@@ -5,10 +5,9 @@ import pytest
 from PIL import Image
 
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.evaluate.distribution.comparison import compared, seen
-from gsrain_engine.evaluate.distribution.extractor import Extractor, ExtractorChoice
-from gsrain_engine.evaluate.distribution.extractors import open_extractor
-from gsrain_engine.evaluate.distribution.feature_cache import PLACE, FeatureCache, picture_hash
+from gsrain_engine.evaluation.fid import PLACE, FeatureCache, compared, picture_hash, seen
+from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice
+from gsrain_engine.evaluation.fid_registry import open_extractor
 
 
 def _pictures(folder, count, seed, darker=1.0):

@@ -7,19 +7,26 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.evaluate.distribution.extractor import ExtractorChoice  # noqa: E402
-from gsrain_engine.evaluate.distribution.extractors import EXTRACTORS, open_extractor  # noqa: E402
-from gsrain_engine.evaluate.distribution.frozen_network import filled  # noqa: E402
-from gsrain_engine.evaluate.distribution.inception import Inception  # noqa: E402
-from gsrain_engine.evaluate.distribution.network_weights import (  # noqa: E402
+from gsrain_engine.evaluation.fid_features import (  # noqa: E402
+    ExtractorChoice,
+    resized,
+)
+from gsrain_engine.evaluation.fid_registry import (  # noqa: E402
+    EXTRACTORS,
+    open_extractor,
+)
+from gsrain_engine.evaluation.fid_torch_features import (  # noqa: E402
     INCEPTION_PLACE,
     inception_weights,
     is_published_inception,
     is_torchscript,
     matched_inception,
 )
-from gsrain_engine.evaluate.distribution.resizing import resized  # noqa: E402
-from gsrain_engine.evaluate.weight_file import read_arrays  # noqa: E402
+from gsrain_engine.evaluation.lpips_weights import read_arrays  # noqa: E402
+from gsrain_engine.evaluation.networks import (  # noqa: E402
+    Inception,
+    filled,
+)
 
 from .random_networks import write_inception  # noqa: E402
 

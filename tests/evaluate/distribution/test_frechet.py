@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import linalg
 
-from gsrain_engine.evaluate.distribution import frechet as module
-from gsrain_engine.evaluate.distribution.frechet import frechet_distance, nuclear_norm, rotated
+from gsrain_engine.evaluation import fid as module
+from gsrain_engine.evaluation.fid import frechet_distance, nuclear_norm, rotated
 from oracles.kernel_distance import kernel_distance
 from repository import REPOSITORY
 

@@ -3,10 +3,16 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluate.distribution.bootstrap import frechet_interval, kernel_estimate, kernel_interval
-from gsrain_engine.evaluate.distribution.extractor import Extractor
-from gsrain_engine.evaluate.distribution.frechet import frechet_distance
-from gsrain_engine.evaluate.distribution.small_samples import SameDistribution, same_distribution, warning
+from gsrain_engine.evaluation.fid import (
+    SameDistribution,
+    frechet_distance,
+    frechet_interval,
+    kernel_estimate,
+    kernel_interval,
+    same_distribution,
+    warning,
+)
+from gsrain_engine.evaluation.fid_features import Extractor
 from oracles.kernel_distance import kernel_distance
 
 FEATURES = 24

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluate.distribution import kernel_distance as module
-from gsrain_engine.evaluate.distribution.kernel_distance import weighted_distances
+from gsrain_engine.evaluation import fid as module
+from gsrain_engine.evaluation.fid import weighted_distances
 from oracles.kernel_distance import kernel_distance
 
 

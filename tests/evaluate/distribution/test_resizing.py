@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.evaluate.distribution.cell_statistics import FEATURES, cell_statistics
-from gsrain_engine.evaluate.distribution.resizing import resized
+from gsrain_engine.evaluation.fid_features import FEATURES, cell_statistics, resized
 
 
 @pytest.fixture(scope="module")

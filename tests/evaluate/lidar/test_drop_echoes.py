@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 
 from evaluate.lidar.wall_beams import SENSOR, sky_beams, wall_beams
-from gsrain_engine.evaluate.lidar.drop_echoes import DropSignals
-from gsrain_engine.evaluate.lidar.far_echoes import far_echoes, span_in_box
-from gsrain_engine.evaluate.lidar.field_echoes import field_echoes
-from gsrain_engine.evaluate.lidar.water import drop_reflectance
-from gsrain_engine.rain.rain import STREAK_REGION, Box, Rain
-from gsrain_engine.rain.rainfall import Rainfall, View
+from gsrain_engine.evaluation.lidar.rain_echoes import (
+    DropSignals,
+    drop_reflectance,
+    far_echoes,
+    field_echoes,
+    span_in_box,
+)
+from gsrain_engine.rain.settings import STREAK_REGION, Box, Rain
+from gsrain_engine.rain.simulation import Rainfall, View
 from gsrain_engine.scene.camera import Camera
 
 RAINFALL = Rainfall.start(Rain(intensity_mm_h=12.0))

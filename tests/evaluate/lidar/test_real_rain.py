@@ -4,11 +4,10 @@ import msgspec
 import numpy as np
 
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.evaluate.lidar.sensor import LidarSensor
-from gsrain_engine.evaluate.lidar.sweep_in_rain import sweep_in_rain
-from gsrain_engine.evaluate.lidar.turns import capture_turns
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall
+from gsrain_engine.evaluation.lidar.scan import capture_turns, sweep_in_rain
+from gsrain_engine.evaluation.lidar.sensor import LidarSensor
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.simulation import Rainfall
 
 ROSETTE = LidarSensor(
     name="narrow rosette", elevations_deg=(0.0,), blind_m=1.0, clear_m=3.0, beam_mm=30.0, divergence_mrad=1.0

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from evaluate.lidar.wall_beams import SENSOR
-from gsrain_engine.evaluate.lidar.sensor import SENSORS, LidarSensor
+from gsrain_engine.evaluation.lidar.sensor import SENSORS, LidarSensor
 
 
 @pytest.mark.parametrize("sensor", SENSORS.values(), ids=list(SENSORS))

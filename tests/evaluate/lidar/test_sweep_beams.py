@@ -5,12 +5,18 @@ import pytest
 from evaluate.lidar.wall_beams import SENSOR
 from gsrain_engine.datasets.capture import Capture, Sweep
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.evaluate.lidar.sweep_beams import ROOF_M, full_intensity, range_told_by, sweep_beams
-from gsrain_engine.evaluate.lidar.sweep_in_rain import Fate, sweep_in_rain
-from gsrain_engine.evaluate.lidar.turns import capture_turns
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall
-from gsrain_engine.scene.track import Track
+from gsrain_engine.evaluation.lidar.scan import (
+    ROOF_M,
+    Fate,
+    capture_turns,
+    full_intensity,
+    range_told_by,
+    sweep_beams,
+    sweep_in_rain,
+)
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.scene.scene import Track
 
 EGO = Track(np.zeros(1), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.ones(1, bool))
 

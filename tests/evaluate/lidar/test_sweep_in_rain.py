@@ -5,11 +5,11 @@ import pytest
 from scipy.optimize import brentq
 
 from evaluate.lidar.wall_beams import SENSOR, sky_beams, wall_beams
-from gsrain_engine.evaluate.lidar.sweep_in_rain import Fate, levelled_frame, sweep_in_rain
-from gsrain_engine.evaluate.lidar.tally import Tally
-from gsrain_engine.evaluate.lidar.water import wet_road_share
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall
+from gsrain_engine.evaluation.lidar.rain_echoes import wet_road_share
+from gsrain_engine.evaluation.lidar.results import Tally
+from gsrain_engine.evaluation.lidar.scan import Fate, levelled_frame, sweep_in_rain
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.simulation import Rainfall
 
 ANCHOR = np.eye(4)
 
@@ -76,7 +76,7 @@ def test_the_seed_fixes_everything_and_another_one_changes_the_drops():
 
 def test_false_returns_are_as_many_as_beams_with_a_drop():
     """Beams into the open sky report a drop with the chance 1 - exp(-mean), each drop once in few beams."""
-    from gsrain_engine.evaluate.lidar.drop_echoes import DropSignals
+    from gsrain_engine.evaluation.lidar.rain_echoes import DropSignals
 
     beams, total, mean = sky_beams(3000), 0, 0.0
     for seed in range(8):

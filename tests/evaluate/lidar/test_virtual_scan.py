@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 
 from evaluate.lidar.wall_beams import SENSOR
-from gsrain_engine.evaluate.lidar.turns import evenly, scene_turns
-from gsrain_engine.evaluate.lidar.virtual_scan import scan_scene
+from gsrain_engine.evaluation.lidar.scan import evenly, scan_scene, scene_turns
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.members import Layer
+from gsrain_engine.scene.scene import Layer
 from small_scene import small_scene
 
 RINGS = msgspec.structs.replace(

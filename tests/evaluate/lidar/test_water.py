@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluate.lidar.water import (
+from gsrain_engine.evaluation.lidar.rain_echoes import (
     REFRACTIVE_INDEX,
     drop_reflectance,
     fresnel_reflectance,

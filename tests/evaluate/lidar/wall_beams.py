@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from gsrain_engine.evaluate.lidar.beams import Beams
-from gsrain_engine.evaluate.lidar.sensor import LidarSensor
+from gsrain_engine.evaluation.lidar.sensor import Beams, LidarSensor
 
 SENSOR = LidarSensor(name="test", elevations_deg=(0.0,), range_m=100.0, farthest_m=200.0)
 

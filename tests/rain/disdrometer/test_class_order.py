@@ -1,8 +1,13 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.disdrometer.class_order import Order, arrange
-from gsrain_engine.rain.disdrometer.parsivel_classes import AREA_M2, DIAMETER_EDGES_MM, VELOCITY_EDGES_M_S
+from gsrain_engine.disdrometer.instruments import (
+    PARSIVEL_AREA_M2,
+    PARSIVEL_DIAMETER_EDGES_MM,
+    PARSIVEL_VELOCITY_EDGES_M_S,
+    Order,
+    arrange,
+)
 from parsivel_text import DRY, RAIN_MM_H, rain
 
 
@@ -10,9 +15,9 @@ def arranged(counts: np.ndarray, written: Order, reported_mm_h: float, records: 
     return arrange(
         np.tile(counts.ravel().astype(float), (records, 1)),
         written,
-        diameter_edges_mm=DIAMETER_EDGES_MM,
-        velocity_edges_m_s=VELOCITY_EDGES_M_S,
-        area_m2=AREA_M2,
+        diameter_edges_mm=PARSIVEL_DIAMETER_EDGES_MM,
+        velocity_edges_m_s=PARSIVEL_VELOCITY_EDGES_M_S,
+        area_m2=PARSIVEL_AREA_M2,
         seconds=np.full(records, 60.0),
         reported_mm_h=np.full(records, reported_mm_h),
     )
@@ -47,7 +52,7 @@ def test_the_rate_decides_where_drops_are_slower_than_rain_too(written: Order):
     """1.6 mm at 0.85 m/s: read the other way round they would be smaller, and less rain than was reported."""
     counts = np.zeros_like(rain())
     counts[12, 8] = 400
-    middle_mm = 0.5 * (DIAMETER_EDGES_MM[12] + DIAMETER_EDGES_MM[13])
-    reported = 60 * 400 * np.pi / 6 * middle_mm**3 / (1e6 * AREA_M2[12])
+    middle_mm = 0.5 * (PARSIVEL_DIAMETER_EDGES_MM[12] + PARSIVEL_DIAMETER_EDGES_MM[13])
+    reported = 60 * 400 * np.pi / 6 * middle_mm**3 / (1e6 * PARSIVEL_AREA_M2[12])
     for each, order in ((counts, "diameters first"), (counts.T, "velocities first")):
         assert arranged(each, written, float(reported))[1] == order

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.disdrometer import contents, records
-from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, read_disdrometer
-from gsrain_engine.rain.fitting.measured_file import open_measured
+from gsrain_engine.disdrometer import filter, spectra
+from gsrain_engine.disdrometer.file_summary import open_measured
+from gsrain_engine.disdrometer.open import read_disdrometer
+from gsrain_engine.disdrometer.spectra import DisdrometerFileError
 from parsivel_text import DRY, RAIN_MM_H, locarno_line, rain, station_line, velocity_major
 
 
@@ -284,13 +285,13 @@ def test_a_gzip_stream_with_a_wrong_checksum_is_refused(tmp_path: Path):
 
 
 def test_inflated_size_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(contents, "LARGEST_FILE", 2**20)
+    monkeypatch.setattr(filter, "LARGEST_FILE", 2**20)
     (tmp_path / "bomb.gz").write_bytes(gzip.compress(bytes(2**20 + 1)))
     assert refusal(tmp_path / "bomb.gz").startswith("the file holds more than 1 MiB")
 
 
 def test_number_of_spectra_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(records, "MOST_COUNTS", 2 * 1024)
+    monkeypatch.setattr(spectra, "MOST_COUNTS", 2 * 1024)
     path = written(tmp_path, *(station_line(second) for second in range(3)))
     assert refusal(path) == "line 3: more than 2 spectra: split the file by days"
 

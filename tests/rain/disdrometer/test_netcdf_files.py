@@ -5,14 +5,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from gsrain_engine.rain.disdrometer import netcdf
-from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, read_disdrometer
-from gsrain_engine.rain.disdrometer.netcdf_classic import record_layout
-from gsrain_engine.rain.disdrometer.parsivel_classes import DIAMETER_EDGES_MM, VELOCITY_EDGES_M_S
+from gsrain_engine.disdrometer import open
+from gsrain_engine.disdrometer.instruments import PARSIVEL_DIAMETER_EDGES_MM, PARSIVEL_VELOCITY_EDGES_M_S
+from gsrain_engine.disdrometer.netcdf_repair import record_layout
+from gsrain_engine.disdrometer.open import read_disdrometer
+from gsrain_engine.disdrometer.spectra import DisdrometerFileError
 from parsivel_text import DRY, RAIN_MM_H, rain
 
-MIDDLES_MM = 0.5 * (DIAMETER_EDGES_MM[:-1] + DIAMETER_EDGES_MM[1:])
-MIDDLES_M_S = 0.5 * (VELOCITY_EDGES_M_S[:-1] + VELOCITY_EDGES_M_S[1:])
+MIDDLES_MM = 0.5 * (PARSIVEL_DIAMETER_EDGES_MM[:-1] + PARSIVEL_DIAMETER_EDGES_MM[1:])
+MIDDLES_M_S = 0.5 * (PARSIVEL_VELOCITY_EDGES_M_S[:-1] + PARSIVEL_VELOCITY_EDGES_M_S[1:])
 TIMES = np.array(["2024-05-01T00:01", "2024-05-01T00:02", "2024-05-01T00:03"], "M8[ns]")
 
 
@@ -194,15 +195,15 @@ def test_size_is_checked_before_anything_is_unpacked(tmp_path: Path):
     with h5py.File(path, "w") as file:
         file.create_dataset("time", (2**40,), "f8", chunks=(2**20,), compression="gzip")
     assert path.stat().st_size < 10_000
-    assert refusal(path) == f"it holds more than {netcdf.LARGEST_DATASET // 2**20} MiB: split it by days"
+    assert refusal(path) == f"it holds more than {open.LARGEST_DATASET // 2**20} MiB: split it by days"
 
 
 def disdrodb_dataset(product: str = "L1", sensor: str = "PARSIVEL", seconds: int = 60) -> xr.Dataset:
     """A product as DISDRODB writes it: a Parsivel's classes without the first two and those beyond 10 mm or 10 m/s."""
     rows, columns = slice(2, 25), slice(0, 26)
     shift = 0.0005  # of DISDRODB's bounds
-    lower, upper = DIAMETER_EDGES_MM[:-1][rows] - shift, DIAMETER_EDGES_MM[1:][rows] - shift
-    slow, fast = VELOCITY_EDGES_M_S[:-1][columns], VELOCITY_EDGES_M_S[1:][columns]
+    lower, upper = PARSIVEL_DIAMETER_EDGES_MM[:-1][rows] - shift, PARSIVEL_DIAMETER_EDGES_MM[1:][rows] - shift
+    slow, fast = PARSIVEL_VELOCITY_EDGES_M_S[:-1][columns], PARSIVEL_VELOCITY_EDGES_M_S[1:][columns]
     diameter, velocity = "diameter_bin_center", "velocity_bin_center"
     return xr.Dataset(
         {
@@ -233,7 +234,7 @@ def test_disdrodb_products_have_their_classes_put_back(tmp_path: Path):
     disdrodb_dataset("L2E").to_netcdf(path, engine="h5netcdf")
     spectra = read_disdrometer(path).spectra
     assert spectra.instrument == "OTT Parsivel"
-    np.testing.assert_array_equal(spectra.diameter_edges_mm, DIAMETER_EDGES_MM)
+    np.testing.assert_array_equal(spectra.diameter_edges_mm, PARSIVEL_DIAMETER_EDGES_MM)
     np.testing.assert_array_equal(spectra.counts, [rain(), DRY, rain()])
     np.testing.assert_allclose(spectra.rate_mm_h, [RAIN_MM_H, 0, RAIN_MM_H], rtol=1e-4)
     assert np.isnan(spectra.reported_mm_h).all()  # theirs follow from the drops
@@ -255,7 +256,7 @@ def test_a_sensor_with_classes_of_its_own(tmp_path: Path):
     spectra = read_disdrometer(path).spectra
     assert spectra.instrument == "Campbell PWS100"
     np.testing.assert_array_equal(spectra.counts, np.stack([rain(), DRY, rain()])[:, 2:25, :26])
-    np.testing.assert_allclose(spectra.velocity_edges_m_s, VELOCITY_EDGES_M_S[:27])
+    np.testing.assert_allclose(spectra.velocity_edges_m_s, PARSIVEL_VELOCITY_EDGES_M_S[:27])
     np.testing.assert_array_equal(spectra.area_m2, 0.004)
 
 

@@ -3,7 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, read_disdrometer
+from gsrain_engine.disdrometer.open import read_disdrometer
+from gsrain_engine.disdrometer.spectra import DisdrometerFileError
 from parsivel_text import DRY, RAIN_MM_H, rain
 
 

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.disdrometer.quality import QualityReport, keep_trusted
-from gsrain_engine.rain.disdrometer.spectra import DropSpectra
+from gsrain_engine.disdrometer.filter import QualityReport, keep_trusted
+from gsrain_engine.disdrometer.spectra import DropSpectra
 
 NAMES = ["small drops", "margin fallers", "splashes", "fall speed", "few drops"]
 

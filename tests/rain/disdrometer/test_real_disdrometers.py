@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, Reading, read_disdrometer
-from gsrain_engine.rain.disdrometer.quality import keep_trusted
+from gsrain_engine.disdrometer.filter import keep_trusted
+from gsrain_engine.disdrometer.open import read_disdrometer
+from gsrain_engine.disdrometer.spectra import DisdrometerFileError, Reading
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.disdrometer.spectra import DropSpectra
+from gsrain_engine.disdrometer.spectra import DropSpectra
 
 
 def spectra(records: int = 2) -> DropSpectra:

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from extension_package import titled_blocks
-from gsrain_engine.rain.disdrometer.files import DisdrometerFileError, UnknownKindError, read_disdrometer
-from gsrain_engine.rain.disdrometer.joss_waldvogel import RD80_EDGES_MM
-from gsrain_engine.rain.disdrometer.minute_tables import drops_of_densities
-from gsrain_engine.rain.disdrometer.tables import TableColumns, load_columns
-from gsrain_engine.rain.fitting.measured_file import open_measured
+from gsrain_engine.disdrometer.file_summary import open_measured
+from gsrain_engine.disdrometer.open import read_disdrometer
+from gsrain_engine.disdrometer.spectra import DisdrometerFileError, UnknownKindError
+from gsrain_engine.disdrometer.tables import TableColumns, drops_of_densities, load_columns
+from gsrain_engine.disdrometer.two_dvd import RD80_EDGES_MM
 from parsivel_text import DRY, RAIN_MM_H, rain, velocity_major
 from repository import REPOSITORY
 

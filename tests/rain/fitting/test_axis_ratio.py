@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gsrain_engine.disdrometer.fit_models import fit_axis_ratio
+from gsrain_engine.disdrometer.spectra import SingleDrops
 from gsrain_engine.rain.calibration import atlas_velocity
-from gsrain_engine.rain.disdrometer.reading import SingleDrops
-from gsrain_engine.rain.fitting.axis_ratio import fit_axis_ratio
 
 
 def drops(n, speed_factor=1.0, largest=5.0):

@@ -6,10 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.drop_sizes import DropSizes
-from gsrain_engine.rain.fitting.calibrate import fit_calibration
-from gsrain_engine.rain.fitting.fit_options import FitOptions
-from gsrain_engine.rain.rain_state import flux_mm_h
+from gsrain_engine.disdrometer.fit import fit_calibration
+from gsrain_engine.disdrometer.fit_models import FitOptions
+from gsrain_engine.rain.properties import DropSizes, flux_mm_h
 from measured_rain import measured_rain
 
 LIGHT, HEAVY = (271.0, 9.705, 0.074), (1190.0, 7.132, 0.114)

@@ -14,7 +14,7 @@ from gsrain_engine.rain.calibration import (
     load_calibration,
     save_calibration,
 )
-from gsrain_engine.rain.drop_sizes import DropSizes
+from gsrain_engine.rain.properties import DropSizes
 
 
 def test_a_calibration_with_confidence_and_provenance_comes_back(tmp_path):

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
-from gsrain_engine.rain.fitting.gamma_fit import GammaLaws, class_shares, fit_by_likelihood, fit_by_moments
+from gsrain_engine.disdrometer.fit_models import GammaLaws, class_shares, fit_by_likelihood, fit_by_moments
 
 EDGES = np.concatenate([np.arange(2, 11) * 0.125, np.arange(6, 11) * 0.25, np.arange(6, 11) * 0.5, [6, 7, 8]])
 

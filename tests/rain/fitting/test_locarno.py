@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from gsrain_engine.disdrometer.file_summary import open_measured
+from gsrain_engine.disdrometer.fit import calibrate_files
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.fitting.calibrate_files import calibrate_files
-from gsrain_engine.rain.fitting.measured_file import open_measured
 
 EXPECTED = {1.21: (210, 8.9, 0.088), 8.43: (464, 6.65, 0.154), 12.0: (530, 6.26, 0.172)}
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
-from gsrain_engine.rain.fitting.calibrate_files import RatesDisagreeError, calibrate, calibrate_files
-from gsrain_engine.rain.fitting.fit_options import FitOptions
-from gsrain_engine.rain.fitting.measured_file import RateCheck, check_rates, open_measured
+from gsrain_engine.disdrometer.file_summary import RateCheck, check_rates, open_measured
+from gsrain_engine.disdrometer.fit import RatesDisagreeError, calibrate, calibrate_files
+from gsrain_engine.disdrometer.fit_models import FitOptions
+from gsrain_engine.disdrometer.netcdf import write_spectra
 from measured_rain import measured_rain
 from parsivel_text import DRY, RAIN_MM_H, rain, station_line
 

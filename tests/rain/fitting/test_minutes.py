@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from gsrain_engine.disdrometer.fit_models import sum_minutes
+from gsrain_engine.disdrometer.spectra import DropSpectra
 from gsrain_engine.rain.calibration import atlas_velocity
-from gsrain_engine.rain.disdrometer.spectra import DropSpectra
-from gsrain_engine.rain.fitting.minutes import sum_minutes
 
 
 def spectra(times, seconds, counts, velocity_edges=(0.0, 2.0, 6.0)):

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.rain.fitting.axis_ratio import AxisRatios
-from gsrain_engine.rain.fitting.calibrate import fit_calibration
-from gsrain_engine.rain.fitting.fit_options import FitOptions
-from gsrain_engine.rain.fitting.plot import draw_calibration, write_plot
+from gsrain_engine.disdrometer.fit import fit_calibration
+from gsrain_engine.disdrometer.fit_models import AxisRatios, FitOptions
+from gsrain_engine.disdrometer.fit_plot import draw_calibration, write_plot
 from measured_rain import measured_rain
 
 

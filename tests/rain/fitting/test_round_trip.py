@@ -4,12 +4,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.fitting.calibrate import fit_calibration
-from gsrain_engine.rain.fitting.fit_options import FitOptions
-from gsrain_engine.rain.presets import load_preset
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall
-from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
+from gsrain_engine.disdrometer.fit import fit_calibration
+from gsrain_engine.disdrometer.fit_models import FitOptions
+from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
+from gsrain_engine.rain.settings import Rain, load_preset
+from gsrain_engine.rain.simulation import Rainfall
 
 INTENSITIES = (1.2, 8.5, 12.0)
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from gsrain_engine.disdrometer.fit_models import assumed_velocity, fit_velocity, speed_weights
 from gsrain_engine.rain.calibration import atlas_velocity
-from gsrain_engine.rain.fitting.velocity_fit import assumed_velocity, fit_velocity, speed_weights
 
 D = np.linspace(0.3, 5, 20)
 TRUE = -0.342 * D**2 + 3.379 * D + 0.340

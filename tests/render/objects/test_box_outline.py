@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from gsrain_engine.render.objects.box_outline import area_px, bounds, cut_at_edges, outline
-from gsrain_engine.scene.box_corners import box_corners
+from gsrain_engine.render.object_labels import area_px, bounds, cut_at_edges, outline
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.geometry import box_corners
 
 CAMERA = Camera(200, 100, 100.0, 100.0, 100.0, 50.0)
 AHEAD = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from gsrain_engine.render.objects.run_lengths import packed, run_lengths
+from gsrain_engine.render.label_export import packed, run_lengths
 from oracles.run_lengths import unpacked
 
 masks = hnp.arrays(bool, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=24))

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from boxy_scene import FAR_M, NEAR_M, boxy_scene
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.render.objects.seen_objects import seen_objects
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.object_labels import seen_objects
+from gsrain_engine.scene.flags import Marks, Mask
 from gsrain_engine.scene.objects import scene_objects
 from gsrain_engine.scene.rig import rig_camera
 

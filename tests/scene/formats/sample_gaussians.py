@@ -3,7 +3,7 @@
 import numpy as np
 
 from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
-from gsrain_engine.scene.rotations import normalized
+from gsrain_engine.scene.geometry import normalized
 
 
 def sample_gaussians(count: int = 300, sh_degree: int = 3, seed: int = 1) -> Gaussians:

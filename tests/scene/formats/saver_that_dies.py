@@ -11,13 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.scene.formats.known_files import KnownFiles
+from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.scene.formats.scene_folder import KnownFiles
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.scene import Layer, Scene
 
 COUNT = 3000
 RANDOM_DEATHS = 30

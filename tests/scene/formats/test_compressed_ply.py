@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.ply import read_ply
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
 

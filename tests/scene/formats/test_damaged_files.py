@@ -8,11 +8,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.formats import read_scene
-from gsrain_engine.scene.formats.gaussian_files import read_gaussians
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.formats.ksplat import write_splat
 from gsrain_engine.scene.formats.ply import write_ply
-from gsrain_engine.scene.formats.splat import write_splat
+from gsrain_engine.scene.formats.registry import read_gaussians
+from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.gaussians import Gaussians
 
 from .sample_gaussians import sample_gaussians

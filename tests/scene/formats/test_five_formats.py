@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from gsrain_engine.scene.formats.gaussian_files import read_gaussians
+from gsrain_engine.scene.formats.registry import read_gaussians
 from gsrain_engine.scene.formats.sog import read_sog
 from gsrain_engine.scene.formats.spz import encode_spz, read_spz
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.rotations import normalized
+from gsrain_engine.scene.geometry import normalized
 
 NAME = "scenes/playbot/playbot_lod3_31k_sh2"
 

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.ksplat import read_ksplat
 from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians
-from gsrain_engine.scene.rotations import normalized
+from gsrain_engine.scene.geometry import normalized
 
 FUZZ = settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 BLOCK = 5.0

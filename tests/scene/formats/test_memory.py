@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.formats import read_scene
-from gsrain_engine.scene.formats.gaussian_files import write_gaussians
-from gsrain_engine.scene.formats.memory import check_room
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.formats._common import check_room
+from gsrain_engine.scene.formats.registry import write_gaussians
+from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.gaussians import Gaussians
 
 from .test_compressed_ply import BOUNDS, compressed
@@ -25,7 +25,7 @@ def some(count=100):
 def free_bytes(monkeypatch):
     def only(count):
         memory = SimpleNamespace(available=count)
-        monkeypatch.setattr("gsrain_engine.scene.formats.memory.psutil.virtual_memory", lambda: memory)
+        monkeypatch.setattr("gsrain_engine.scene.formats._common.psutil.virtual_memory", lambda: memory)
 
     return only
 

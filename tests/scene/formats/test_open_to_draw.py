@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.drawing_order import drawing_order
-from gsrain_engine.scene.formats.gaussian_files import FORMATS, Format, read_gaussians
-from gsrain_engine.scene.open_scene import open_to_draw
+from gsrain_engine.scene.formats._common import Format
+from gsrain_engine.scene.formats.registry import FORMATS, read_gaussians
+from gsrain_engine.scene.lod_order import drawing_order
+from gsrain_engine.scene.open import open_to_draw
 
 from .sample_gaussians import sample_gaussians
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.ply import read_ply, write_ply
 from gsrain_engine.scene.gaussians import Gaussians
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.formats import FORMATS, read_scene, write_scene
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.formats.registry import FORMATS
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.formats.sog import read_sog
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.scene import Layer, Scene
 
 from .sample_gaussians import assert_equal, sample_gaussians
 

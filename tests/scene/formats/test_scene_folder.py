@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.formats import read_scene, scene_folder, write_scene
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.formats import scene_folder
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.members import Actor, Layer
-from gsrain_engine.scene.scene import RigCamera, Scene
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Actor, Layer, RigCamera, Scene, Track
 
 from .sample_gaussians import assert_equal, sample_gaussians
 

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.scene.formats.known_files import KnownFiles
-from gsrain_engine.scene.formats.scene_folder import write_scene_folder
-from gsrain_engine.scene.members import Layer
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.scene.formats.scene_folder import KnownFiles, write_scene_folder
+from gsrain_engine.scene.scene import Layer
 
 from .sample_gaussians import assert_equal, sample_gaussians
 from .test_scene_folder import folder as folder  # a fixture

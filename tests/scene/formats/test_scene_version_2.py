@@ -13,20 +13,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.formats import read_scene, scene_folder, write_scene
-from gsrain_engine.scene.formats.known_files import KnownFiles
-from gsrain_engine.scene.formats.marks_record import mask_of, text_of
-from gsrain_engine.scene.formats.scene_record import SceneRecord, record_of, scene_of
+from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.flags import UNMARKED, Marks, Mask
+from gsrain_engine.scene.formats import scene_folder
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.scene.formats.scene_folder import KnownFiles
+from gsrain_engine.scene.formats.scene_json import SceneRecord, mask_of, record_of, scene_of, text_of
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.grading import UNCHANGED, Grading
-from gsrain_engine.scene.marks import UNMARKED, Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.members import Actor, Layer
-from gsrain_engine.scene.paths.camera_path import CameraPath
-from gsrain_engine.scene.rotations import matrices_from_quaternions, normalized
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.geometry import matrices_from_quaternions, normalized
+from gsrain_engine.scene.scene import UNCHANGED, Actor, Grading, Layer, Scene, Track
 
 from .sample_gaussians import assert_equal, sample_gaussians
 

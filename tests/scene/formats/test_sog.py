@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.sog import read_sog
 from gsrain_engine.scene.gaussians import Gaussians
 

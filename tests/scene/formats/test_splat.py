@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.formats.splat import read_splat, write_splat
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.formats.ksplat import read_splat, write_splat
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
 
 from .sample_gaussians import sample_gaussians

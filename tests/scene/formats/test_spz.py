@@ -12,11 +12,10 @@ import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.errors import SceneFormatError
+from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.spz import encode_spz, read_spz, write_spz
-from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
-from gsrain_engine.scene.rotations import matrices_from_quaternions, normalized
-from gsrain_engine.scene.spherical_harmonics import evaluate_sh
+from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians, evaluate_sh
+from gsrain_engine.scene.geometry import matrices_from_quaternions, normalized
 
 FUZZ = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

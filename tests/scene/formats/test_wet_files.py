@@ -7,14 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.scene.formats.harmonics_file import read_harmonics, write_harmonics
-from gsrain_engine.scene.formats.known_files import KnownFiles
-from gsrain_engine.scene.formats.scene_folder import write_scene_folder
-from gsrain_engine.scene.members import Actor, Layer
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.scene.formats.scene_folder import KnownFiles, read_harmonics, write_harmonics, write_scene_folder
+from gsrain_engine.scene.scene import Actor, Layer, Scene, Track
 
 from .sample_gaussians import sample_gaussians
 

@@ -6,12 +6,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.drive_path import drive_path
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.paths.camera_path import CameraPath, circle_path, orbit_path
-from gsrain_engine.scene.paths.files import read_camera_path, write_camera_path
-from gsrain_engine.scene.scene import RigCamera, Scene
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.camera_path import CameraPath, circle_path, orbit_path
+from gsrain_engine.scene.camera_path_io import read_camera_path, write_camera_path
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.rig import drive_path
+from gsrain_engine.scene.scene import RigCamera, Scene, Track
 
 LEVEL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # a camera that looks along +x, z up
 

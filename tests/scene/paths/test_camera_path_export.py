@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.paths.camera_path import CameraPath
-from gsrain_engine.scene.paths.export import frame_times, write_nerfstudio_path, write_training_cameras
-from gsrain_engine.scene.paths.files import read_camera_path, write_camera_path
+from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.camera_path_io import (
+    frame_times,
+    read_camera_path,
+    write_camera_path,
+    write_nerfstudio_path,
+    write_training_cameras,
+)
+from gsrain_engine.scene.files import SceneFormatError
 
 
 @pytest.fixture

@@ -7,13 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.scene.paths.camera_path import CameraPath
-from gsrain_engine.scene.paths.edits import moved_key, placed_key, stretched, with_key
-from gsrain_engine.scene.paths.files import read_camera_path
-from gsrain_engine.scene.paths.pace import WALKING_M_S, paced
-from gsrain_engine.scene.paths.speed import PathSpeed
-from gsrain_engine.session.edits.scale import set_length
+from gsrain_engine.editor.edits.level import set_length
+from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.camera_path_edit import (
+    WALKING_M_S,
+    PathSpeed,
+    moved_key,
+    paced,
+    placed_key,
+    stretched,
+    with_key,
+)
+from gsrain_engine.scene.camera_path_io import read_camera_path
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_scene import small_scene
 
 AHEAD = np.array([[0.5, -0.5, 0.5, -0.5]])

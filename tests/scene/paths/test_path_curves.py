@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from gsrain_engine.scene.paths.camera_path import CameraPath
-from gsrain_engine.scene.paths.easing import eased
+from gsrain_engine.scene.camera_path import CameraPath, eased
 
 KNOTS = np.array([0.0, 1.0, 2.5, 3.0])
 

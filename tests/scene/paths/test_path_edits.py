@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.paths.camera_path import CameraPath
-from gsrain_engine.scene.paths.edits import (
+from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.camera_path_edit import (
     SAME_TIME_S,
     copied_key,
     key_at,

@@ -7,17 +7,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.paths.camera_path import CameraPath
-from gsrain_engine.scene.paths.look import (
+from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.camera_path_edit import (
     LookAngles,
+    PathSpeed,
+    every,
     focal_length_mm,
     fov_of_focal_length,
     look_angles,
     look_rotation,
+    nearest_moment,
+    simplified,
+    snapped_key,
 )
-from gsrain_engine.scene.paths.speed import PathSpeed
-from gsrain_engine.scene.paths.trajectory import every, nearest_moment, simplified, snapped_key
-from gsrain_engine.scene.rotations import matrices_from_quaternions, quaternions_from_matrices
+from gsrain_engine.scene.geometry import matrices_from_quaternions, quaternions_from_matrices
 
 LEVEL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # looks along +x
 

@@ -3,9 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.street.grids import box, even_lines, graded_lines, panel, tube
-from gsrain_engine.scene.street.labels import Label
-from gsrain_engine.scene.street.quads import Quads
+from gsrain_engine.scene.street.layout import Label
+from gsrain_engine.scene.street.mesh import Quads, box, even_lines, graded_lines, panel, tube
 
 
 def _areas(quads: Quads) -> np.ndarray:

@@ -6,15 +6,11 @@ import pytest
 
 from gsrain_engine.scene.camera import look_at
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
+from gsrain_engine.scene.geometry import matrices_from_quaternions
 from gsrain_engine.scene.rig import rig_camera
-from gsrain_engine.scene.rotations import matrices_from_quaternions
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.street.build import StreetSurfaces, build_street
-from gsrain_engine.scene.street.daylight import Daylight
-from gsrain_engine.scene.street.labels import Label
-from gsrain_engine.scene.street.layout import KERB_HEIGHT_M, plan_street
-from gsrain_engine.scene.street.parameters import StreetParameters
-from gsrain_engine.scene.street.splatting import SH_C1, gaussians_of, shown_colors
+from gsrain_engine.scene.street.build import SH_C1, Daylight, StreetSurfaces, build_street, gaussians_of, shown_colors
+from gsrain_engine.scene.street.layout import KERB_HEIGHT_M, Label, StreetParameters, plan_street
 
 
 def _digest(scene: Scene) -> str:

@@ -3,12 +3,9 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.street.build import StreetSurfaces, street_surfaces
-from gsrain_engine.scene.street.labels import Label
-from gsrain_engine.scene.street.layout import plan_street
-from gsrain_engine.scene.street.parameters import StreetParameters
-from gsrain_engine.scene.street.parked_vehicles import parked_boxes
-from gsrain_engine.scene.street.truck_form import TRUCK_FORM
+from gsrain_engine.scene.street.build import StreetSurfaces, parked_boxes, street_surfaces
+from gsrain_engine.scene.street.cars import TRUCK_FORM
+from gsrain_engine.scene.street.layout import Label, StreetParameters, plan_street
 from gsrain_engine.scene.street.trucks import build_truck
 
 

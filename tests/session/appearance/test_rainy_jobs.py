@@ -8,21 +8,27 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.finetuning.settings import FinetuningSettings
-from gsrain_engine.appearance.finetuning.task import TrainingTask
-from gsrain_engine.appearance.transfer_settings import TransferSettings
-from gsrain_engine.appearance.views.choice import ViewChoice, chosen_cameras
-from gsrain_engine.reconstruct.recoloring.recolored_file import read_recolored
-from gsrain_engine.scene import trusted_code
+from gsrain_engine import trusted_code
+from gsrain_engine.appearance.base import TransferSettings
+from gsrain_engine.appearance.finetune.settings import FinetuningSettings
+from gsrain_engine.appearance.finetune.task import TrainingTask
+from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras
+from gsrain_engine.editor import finetune
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.jobs import training
+from gsrain_engine.editor.jobs.make_rainy import (
+    RAINY_SCENE_TITLE,
+    PreviewedView,
+    Recipe,
+    TransferOrder,
+    make_rainy,
+    preview_view,
+)
+from gsrain_engine.editor.make_rainy import why_no_views
+from gsrain_engine.recolor.result import read_recolored
 from gsrain_engine.scene.formats.scene_folder import write_scene_folder
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.appearance import transfer_studio, transfer_training
-from gsrain_engine.session.appearance.previewed_view import PreviewedView, Recipe
-from gsrain_engine.session.appearance.rainy_scene_job import TITLE
-from gsrain_engine.session.appearance.transfer_work import TransferOrder, make_rainy, preview_view
-from gsrain_engine.session.appearance.view_sources import why_no_views
-from gsrain_engine.session.session import Session
 from small_scene import small_scene
 
 CHOICE = ViewChoice(source="rig", count=2, width_px=64)
@@ -104,7 +110,7 @@ def test_a_scene_is_made_rainy_once_as_soon_as_it_is_there(session):
     session.set_scene("Everything", scene)
     session.update(0.0)
     (job,) = session.jobs
-    assert (job.title, session.problem) == (TITLE, None)
+    assert (job.title, session.problem) == (RAINY_SCENE_TITLE, None)
     job.cancel()
     session.update(0.0)
     session.update(0.0)
@@ -145,8 +151,8 @@ def studio(session, tmp_path, monkeypatch):
     studio.choice = msgspec.structs.replace(
         studio.choice, clear=tmp_path / "clear", rainy=tmp_path / "rainy", output=tmp_path / "out", steps=1000
     )
-    monkeypatch.setattr("gsrain_engine.session.appearance.transfer_studio.has_torch", lambda: True)
-    monkeypatch.setattr(transfer_training, "train_transfer", learning)
+    monkeypatch.setattr("gsrain_engine.editor.finetune.has_torch", lambda: True)
+    monkeypatch.setattr(training, "train_transfer", learning)
     return studio
 
 
@@ -170,7 +176,7 @@ def test_losses_and_warnings_of_a_training_can_be_watched(session, studio):
 
 
 def test_what_ends_a_training_is_told_and_a_checkpoint_is_gone_on_from(session, studio, monkeypatch):
-    monkeypatch.setattr(transfer_training, "train_transfer", breaking)
+    monkeypatch.setattr(training, "train_transfer", breaking)
     studio.start(session)
     follow(session, session.jobs[0])
     assert session.problem == "Train the transfer failed: clear: holds no pictures"
@@ -195,9 +201,9 @@ def test_settings_that_are_wrong_are_told_and_nothing_starts(session, studio, tm
 def test_a_program_that_the_settings_name_is_asked_about(session, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     monkeypatch.setattr(trusted_code, "_trusted", set())
-    monkeypatch.setattr(transfer_studio, "has_torch", lambda: True)
+    monkeypatch.setattr(finetune, "has_torch", lambda: True)
     started = []
-    monkeypatch.setattr(transfer_studio, "TransferTraining", lambda task, files: started.append(task))
+    monkeypatch.setattr(finetune, "TransferTraining", lambda task, files: started.append(task))
     monkeypatch.setattr(Session, "start", lambda self, job: None)
     (tmp_path / "DSINE" / "models").mkdir(parents=True)
     (tmp_path / "DSINE" / "models" / "dsine.py").write_text("DSINE = 1\n")

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.rain.weather import Weather, WeatherKey
+from gsrain_engine.editor import camera_path
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.overlays import drag_in_view, path_drawing
+from gsrain_engine.editor.timeline import content_span
+from gsrain_engine.editor.viewport.picking import projected_lines
+from gsrain_engine.rain.keyframes import Weather, WeatherKey
 from gsrain_engine.render.sequence import FrameSequence
-from gsrain_engine.scene.paths.edits import shifted
-from gsrain_engine.scene.paths.files import write_camera_path
-from gsrain_engine.scene.paths.look import LookAngles
+from gsrain_engine.scene.camera_path_edit import LookAngles, shifted
+from gsrain_engine.scene.camera_path_io import write_camera_path
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.camera_path import edits, files, moments
-from gsrain_engine.session.camera_path.path_drawing import drag_in_view, path_drawing, projected_lines
-from gsrain_engine.session.session import Session
-from gsrain_engine.session.timeline.rows import content_span
 from small_scene import small_scene
 
 AXES = {"metres_per_unit": 0.25, "up": (0.0, -1.0, 0.0)}
@@ -39,17 +39,17 @@ def look_from(session, time_s, x):
 def four_keys(session):
     for time_s, x in ((0.0, 0.0), (1.0, 2.0), (2.0, 5.0), (4.0, 9.0)):
         look_from(session, time_s, x)
-        edits.add_key(session)
+        camera_path.add_key(session)
     return session.scene.path
 
 
 def test_a_key_shows_what_the_view_showed_whatever_the_scene_s_axes(session):
     look_from(session, 1.0, 3.0)
     seen = session.shot(96, 64).camera
-    edits.add_key(session)
+    camera_path.add_key(session)
     assert session.timeline.key == 0
     look_from(session, 1.0, 8.0)
-    moments.go_to_key(session, 0)
+    camera_path.go_to_key(session, 0)
     again = session.shot(96, 64).camera
     assert np.allclose(again.world_to_camera, seen.world_to_camera, atol=1e-9)
     assert again.fy == pytest.approx(seen.fy)
@@ -60,32 +60,32 @@ def test_the_same_moment_updates_and_every_step_is_undone(session):
     bare = session.scene
     four_keys(session)
     look_from(session, 2.0, 20.0)
-    edits.add_key(session)
+    camera_path.add_key(session)
     assert len(session.scene.path.times_s) == 4
     assert session.history.undo_label == "Update camera key"
     assert session.path.positions[2] == pytest.approx([20, 10, 2])
     for _ in range(5):
         session.undo()
     assert session.scene is bare
-    assert edits.chosen_key(session) is None
+    assert camera_path.chosen_key(session) is None
 
 
 def test_keys_are_appended_at_the_usual_distance(session):
-    edits.append_key(session)
+    camera_path.append_key(session)
     assert session.scene.path.times_s.tolist() == [0]
-    edits.append_key(session)
+    camera_path.append_key(session)
     assert session.scene.path.times_s.tolist() == [0, 2]
-    edits.retime_key(session, 1, 0.5)
-    edits.append_key(session)
+    camera_path.retime_key(session, 1, 0.5)
+    camera_path.append_key(session)
     assert session.scene.path.times_s.tolist() == [0, 0.5, 1.0]
     assert session.clock.time_s == 1.0
 
 
 def test_roll_is_kept_by_a_ride_and_lost_by_the_hand(session):
     four_keys(session)
-    edits.place_key(session, 1, "Turn", look=LookAngles(10.0, -5.0, 25.0))
-    assert edits.key_look(session, 1) == pytest.approx((10, -5, 25), abs=1e-6)
-    moments.go_to_key(session, 1)
+    camera_path.place_key(session, 1, "Turn", look=LookAngles(10.0, -5.0, 25.0))
+    assert camera_path.key_look(session, 1) == pytest.approx((10, -5, 25), abs=1e-6)
+    camera_path.go_to_key(session, 1)
     assert session.shot(96, 64).camera.world_to_camera[1, 2] == pytest.approx(
         -np.cos(np.radians(25)) * np.cos(np.radians(5)), abs=1e-6
     )
@@ -97,17 +97,17 @@ def test_roll_is_kept_by_a_ride_and_lost_by_the_hand(session):
 
 def test_a_drag_is_one_step_whichever_way_it_went(session):
     path = four_keys(session)
-    edits.begin_drag(session, 1)
+    camera_path.begin_drag(session, 1)
     for seconds in (0.3, 3.7, 0.9):
-        edits.drag_in_time(session, seconds)
-    edits.end_drag(session)
+        camera_path.drag_in_time(session, seconds)
+    camera_path.end_drag(session)
     assert session.scene.path.times_s == pytest.approx([0, 1.9, 2, 4])
     assert session.history.labels[-2:] == ["Add camera key", "Move camera key"]
     session.undo()
     assert session.scene.path is path
-    edits.begin_drag(session, 0)
-    edits.drag_in_time(session, -5.0)  # not before 0
-    edits.end_drag(session)
+    camera_path.begin_drag(session, 0)
+    camera_path.drag_in_time(session, -5.0)  # not before 0
+    camera_path.end_drag(session)
     assert session.scene.path.times_s[0] == 0
 
 
@@ -117,14 +117,14 @@ def test_a_drag_in_the_picture_follows_the_hand(session):
     session.navigation.heading = 0.4
     shot = session.shot(600, 400)
     before = {mark.key: np.array(mark.handle_px) for mark in path_drawing(session, shot.camera).keys}
-    edits.begin_drag(session, 3, in_view=True)
+    camera_path.begin_drag(session, 3, in_view=True)
     for moved in ((5.0, 5.0), (31.0, -12.0)):
         drag_in_view(session, shot, moved, upright=False)
-    edits.end_drag(session)
+    camera_path.end_drag(session)
     after = {mark.key: np.array(mark.handle_px) for mark in path_drawing(session, shot.camera).keys}
     assert after[3] == pytest.approx(before[3] + [31, -12], abs=1e-6)
     assert after[2] == pytest.approx(before[2])
-    edits.begin_drag(session, 3, in_view=True)
+    camera_path.begin_drag(session, 3, in_view=True)
     place = session.path.positions[3]
     drag_in_view(session, shot, (9.0, -20.0), upright=True)
     assert session.path.positions[3][:2] == pytest.approx(place[:2])
@@ -146,7 +146,7 @@ def test_lines_are_cut_off_at_the_eye(session):
 
 def test_what_the_window_rides_is_what_a_recording_shows(session):
     four_keys(session)
-    edits.change_path(session, "Loop", loop=True, easing="in and out")
+    camera_path.change_path(session, "Loop", loop=True, easing="in and out")
     session.view.follow_path = True
     sequence = FrameSequence(session.scene, session.rainfall, session.path, 96, 64, 30.0, in_scene_time=True)
     for number in (0, 31, 100, 250):
@@ -167,7 +167,7 @@ def test_the_path_is_the_same_value_until_something_changes(session):
     assert session.path is own is not default
     session.set_scene("Scale", replace(session.scene, metres_per_unit=0.5))
     assert session.path.positions == pytest.approx(2 * own.positions)
-    edits.delete_path(session)
+    camera_path.delete_path(session)
     assert session.path.positions == pytest.approx(2 * default.positions)
 
 
@@ -184,13 +184,13 @@ def test_a_path_changes_no_picture(session):
 
 def test_whole_paths_are_stretched_and_reversed(session):
     path = four_keys(session)
-    edits.stretch_path(session, 8.0)
+    camera_path.stretch_path(session, 8.0)
     assert session.scene.path.times_s.tolist() == [0, 2, 4, 8]
-    edits.reverse_path(session)
+    camera_path.reverse_path(session)
     assert session.scene.path.times_s.tolist() == [0, 4, 6, 8]
     assert session.scene.path.positions[0] == pytest.approx(path.positions[3])
     steps = len(session.history.labels)
-    edits.stretch_path(session, 0.0)
+    camera_path.stretch_path(session, 0.0)
     assert "fall together" in session.problem
     assert len(session.history.labels) == steps
 
@@ -198,7 +198,7 @@ def test_whole_paths_are_stretched_and_reversed(session):
 def test_a_circle_starts_at_the_view_and_looks_at_its_target(session):
     session.navigation.distance_m = 6.0
     seen, target = session.shot(96, 64).camera, session.navigation.target
-    edits.circle_target(session)
+    camera_path.circle_target(session)
     assert np.allclose(session.path.camera(0.0, 96, 64).world_to_camera, seen.world_to_camera, atol=1e-9)
     assert session.span_s == (0, 12)
     for t in (2.0, 7.5, 11.9):
@@ -214,7 +214,7 @@ def test_next_and_previous_keys(session):
     four_keys(session)
     session.clock.seek(0.5)
     for steps, time_s in ((1, 1.0), (1, 2.0), (1, 4.0), (1, 4.0), (-1, 2.0)):
-        moments.go_to_next_key(session, steps)
+        camera_path.go_to_next_key(session, steps)
         assert session.clock.time_s == time_s
     assert session.view.follow_path
 
@@ -222,10 +222,12 @@ def test_next_and_previous_keys(session):
 def test_what_has_no_path_is_left_alone(session):
     bare = session.scene
     for change in (
-        lambda: edits.update_key(session, 0), lambda: edits.delete_key(session, 0), lambda: edits.delete_path(session),
-        lambda: edits.retime_key(session, 0, 1.0), lambda: edits.reverse_path(session),
-        lambda: edits.stretch_path(session, 3.0), lambda: moments.go_to_next_key(session, 1),
-        lambda: edits.begin_drag(session, 0), lambda: edits.drag_in_time(session, 1.0), lambda: edits.end_drag(session),
+        lambda: camera_path.update_key(session, 0), lambda: camera_path.delete_key(session, 0),
+        lambda: camera_path.delete_path(session),
+        lambda: camera_path.retime_key(session, 0, 1.0), lambda: camera_path.reverse_path(session),
+        lambda: camera_path.stretch_path(session, 3.0), lambda: camera_path.go_to_next_key(session, 1),
+        lambda: camera_path.begin_drag(session, 0), lambda: camera_path.drag_in_time(session, 1.0),
+        lambda: camera_path.end_drag(session),
     ):  # fmt: skip
         change()
     assert session.scene is bare
@@ -233,30 +235,32 @@ def test_what_has_no_path_is_left_alone(session):
 
 
 def test_the_drive_becomes_a_path_and_keys_snap_to_it(session):
-    files.path_from_drive(session, every_s=1.0)
+    camera_path.path_from_drive(session, every_s=1.0)
     assert len(session.scene.path.times_s) == 6
     drive = session.path
-    edits.place_key(
+    camera_path.place_key(
         session, 2, "Move", position_m=drive.positions[2] + np.array([0, 0, 3.0]), look=LookAngles(90, 0, 0)
     )
-    files.snap_key(session, 2)
+    camera_path.snap_key(session, 2)
     assert session.path.positions[2] == pytest.approx(drive.positions[2], abs=1e-6)
     assert abs(session.path.quaternions_wxyz[2] @ drive.quaternions_wxyz[2]) == pytest.approx(1)
 
 
 def test_without_a_drive_it_is_told():
     session = Session(Scene("empty"))
-    files.path_from_drive(session)
+    camera_path.path_from_drive(session)
     assert "no ego vehicle" in session.problem
     assert session.scene.path is None
     session.close()
 
 
-@pytest.mark.parametrize("export", [files.export_path, files.export_nerfstudio, files.export_training_cameras])
+@pytest.mark.parametrize(
+    "export", [camera_path.export_path, camera_path.export_nerfstudio, camera_path.export_training_cameras]
+)
 def test_exports_read_back_or_are_told(session, tmp_path, export):
     path = four_keys(session)
     export(session, tmp_path / "out")
-    files.import_path(session, tmp_path / "out.json")
+    camera_path.import_path(session, tmp_path / "out.json")
     assert session.scene.path is not path
     assert session.scene.path.positions[0] == pytest.approx(path.positions[0], abs=1e-9)
     assert session.scene.path.positions[-1] == pytest.approx(path.positions[-1], abs=1e-6)
@@ -266,18 +270,18 @@ def test_exports_read_back_or_are_told(session, tmp_path, export):
 
 def test_a_path_from_before_time_began_is_imported_later(session, tmp_path):
     write_camera_path(tmp_path / "early.json", shifted(four_keys(session), -3.0))
-    files.import_path(session, tmp_path / "early.json")
+    camera_path.import_path(session, tmp_path / "early.json")
     assert session.scene.path.times_s.tolist() == [0, 1, 2, 4]
 
 
 def test_the_span_is_that_of_the_flight_else_of_what_happens(session):
     assert session.span_s == (0, 5)  # the ego's drive
-    edits.add_key(session)
+    camera_path.add_key(session)
     assert session.span_s == (0, 5)  # one key is no flight
     four_keys(session)
     assert session.span_s == (0, 4)
-    moments.set_span(session, True, 1.0)
-    moments.set_span(session, False, 0.2)
+    camera_path.set_span(session, True, 1.0)
+    camera_path.set_span(session, False, 0.2)
     assert session.span_s == pytest.approx((1.0, 1.0 + 1 / 30))
     session.clock.span_s = None
     assert content_span(Scene("empty")) == (0, 8)
@@ -301,12 +305,12 @@ def test_any_edits_are_undone_to_the_very_values(changes):
             key = key % len(path.times_s) if path is not None else 0
             session.clock.seek(number)
             {
-                "add": lambda: edits.add_key(session),
-                "delete": lambda key=key: edits.delete_key(session, key),
-                "retime": lambda key=key, number=number: edits.retime_key(session, key, number),
-                "copy": lambda key=key, number=number: edits.copy_key(session, key, number),
-                "reverse": lambda: edits.reverse_path(session),
-                "stretch": lambda number=number: edits.stretch_path(session, 0.5 + number),
+                "add": lambda: camera_path.add_key(session),
+                "delete": lambda key=key: camera_path.delete_key(session, key),
+                "retime": lambda key=key, number=number: camera_path.retime_key(session, key, number),
+                "copy": lambda key=key, number=number: camera_path.copy_key(session, key, number),
+                "reverse": lambda: camera_path.reverse_path(session),
+                "stretch": lambda number=number: camera_path.stretch_path(session, 0.5 + number),
             }[word]()
             if session.scene.path is not None:
                 assert np.all(np.diff(session.scene.path.times_s) > 0)

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import Capture, CaptureError, Sweep
+from gsrain_engine.editor import capture_view
+from gsrain_engine.editor.capture_view import MOST_POINTS, THUMBNAIL_PX, ViewPictures, shown_points
+from gsrain_engine.editor.editor import Session
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.capture import capture_view
-from gsrain_engine.session.capture.shown_points import MOST_POINTS, shown_points
-from gsrain_engine.session.capture.view_pictures import THUMBNAIL_PX, ViewPictures
-from gsrain_engine.session.session import Session
 from small_scene import small_scene
 
 from .small_capture import COLORS, small_capture, written_capture

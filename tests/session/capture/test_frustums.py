@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import Capture
-from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.session.capture.frustums import (
+from gsrain_engine.editor.overlays import (
     MOST_FRUSTUMS,
     RecordedCameras,
     fitting_fov_deg,
@@ -16,6 +15,7 @@ from gsrain_engine.session.capture.frustums import (
     image_corners,
     picture_grid,
 )
+from gsrain_engine.scene.camera import Camera, look_at
 
 from .small_capture import UP, small_capture
 

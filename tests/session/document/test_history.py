@@ -1,6 +1,5 @@
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.session.document.document import Document
-from gsrain_engine.session.document.history import History
+from gsrain_engine.editor.document import Document, History
+from gsrain_engine.rain.settings import Rain
 from small_scene import small_scene
 
 SCENE = small_scene()

@@ -5,12 +5,11 @@ from functools import cache
 
 import msgspec
 
-from gsrain_engine.drive.agents.registry import open_agent
-from gsrain_engine.drive.scenario.scenario import Scenario
-from gsrain_engine.drive.simulation.drive import drive
-from gsrain_engine.drive.simulation.simulation import Simulation
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.simulation.agents.registry import open_agent
+from gsrain_engine.simulation.scenario import Scenario
+from gsrain_engine.simulation.simulation import Simulation, drive
 from small_scene import small_scene
 
 CRASH = {

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.simulation.rig_pictures import placed_camera
-from gsrain_engine.session.drive.shown_rollout import ShownRollout
-from gsrain_engine.session.view.chase import Chase
-from gsrain_engine.session.view.navigation import Navigation
+from gsrain_engine.editor.drive_playback import ShownRollout
+from gsrain_engine.editor.viewport.camera import Navigation
+from gsrain_engine.editor.viewport.camera_follow import Chase
+from gsrain_engine.simulation.sensors import placed_camera
 
 from .driven import driven
 

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.session.drive.drive_job import DriveJob
+from gsrain_engine.editor.jobs.drive import DriveJob
 
 from .driven import CRASH, driven, settled, stopped_session
 

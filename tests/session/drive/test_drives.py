@@ -6,10 +6,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.rollouts.json_lines import read_rollout, write_rollout
-from gsrain_engine.scene.formats.known_files import KnownFiles
-from gsrain_engine.session.drive.opened_rollout import open_rollout
-from gsrain_engine.session.files.opened import Opened
+from gsrain_engine.editor.files import Opened
+from gsrain_engine.editor.jobs.drive import open_rollout
+from gsrain_engine.scene.formats.scene_folder import KnownFiles
+from gsrain_engine.simulation.rollout_io import read_rollout, write_rollout
 
 from .driven import driven, settled, stopped_session
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.simulation.rig_pictures import placed_camera
+from gsrain_engine.editor.drive_playback import ShownRollout
+from gsrain_engine.editor.overlays_drive import planned_places, rollout_drawing
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.session.drive.rollout_drawing import planned_places, rollout_drawing
-from gsrain_engine.session.drive.shown_rollout import ShownRollout
+from gsrain_engine.simulation.sensors import placed_camera
 
 from .driven import driven
 

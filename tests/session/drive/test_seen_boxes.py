@@ -3,9 +3,9 @@
 import msgspec
 import pytest
 
-from gsrain_engine.drive.simulation.rig_pictures import of_width, placed_camera
-from gsrain_engine.session.drive.seen_boxes import seen_boxes
-from gsrain_engine.session.drive.shown_rollout import ShownRollout
+from gsrain_engine.editor.drive_playback import ShownRollout
+from gsrain_engine.editor.overlays_drive import seen_boxes
+from gsrain_engine.simulation.sensors import of_width, placed_camera
 
 from .driven import driven
 

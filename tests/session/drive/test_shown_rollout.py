@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.session.drive.shown_rollout import EGO_CAR, ShownRollout
+from gsrain_engine.editor.drive_playback import EGO_CAR, ShownRollout
 from small_scene import small_scene
 
 from .driven import driven

@@ -7,11 +7,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.scenario.scenario_files import load_scenario
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.session.drive.drive_wishes import DriveWishes
-from gsrain_engine.session.drive.mosaic import Mosaic, mosaic_rows
-from gsrain_engine.session.drive.wanted_drive import WantedDrive
+from gsrain_engine.editor.drive import WantedDrive
+from gsrain_engine.editor.jobs.drive import DriveWishes
+from gsrain_engine.editor.overlays_drive import Mosaic, mosaic_rows
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.simulation.scenario_io import load_scenario
 
 from .driven import driven
 

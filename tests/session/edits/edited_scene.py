@@ -4,13 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsrain_engine.scene.flattening import flattened
+from gsrain_engine.scene.flags import Mask
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.grading import Grading
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.members import Actor, Layer
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.track import Track
+from gsrain_engine.scene.scene import Actor, Grading, Layer, Scene, Track
+from gsrain_engine.scene.transforms import flattened
 
 
 def some_gaussians(seed, count=40, degree=1):

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.drive.road.route import recorded_route
+from gsrain_engine.editor.edits.actors import RIG, drive_along, drive_along_own_path
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.paths.camera_path import CameraPath
+from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.edits.ego_drive import RIG, drive_along, drive_along_own_path
+from gsrain_engine.simulation.route import recorded_route
 
 from .edited_scene import edited_scene
 

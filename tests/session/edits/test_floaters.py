@@ -3,14 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.edits.floaters import FloaterRules, FloaterSearch, select_floaters
+from gsrain_engine.editor.edits.gaussians import box_around
+from gsrain_engine.editor.jobs.floaters import FloaterJob
+from gsrain_engine.scene.flags import Mask
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.edits.cropping import box_around
-from gsrain_engine.session.edits.floaters import FloaterRules, FloaterSearch, select_floaters
-from gsrain_engine.session.jobs.floater_job import FloaterJob
-from gsrain_engine.session.session import Session
+from gsrain_engine.scene.scene import Layer, Scene
 
 OFF = FloaterRules(opacity_below=0, size_above_m=0, isolation_above=0)
 

@@ -7,18 +7,23 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.formats.scene_record import record_of
-from gsrain_engine.scene.grading import Grading
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.session.edits import layers
-from gsrain_engine.session.edits.actors import retime_actor, turn_actor
-from gsrain_engine.session.edits.compacting import compact
-from gsrain_engine.session.edits.cropping import CropBox, crop
-from gsrain_engine.session.edits.level import level_from_points
-from gsrain_engine.session.edits.marking import delete_selected, hide_selected, isolate_selected, show_all
-from gsrain_engine.session.edits.moving import move_member, move_selected
-from gsrain_engine.session.edits.scale import set_length
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.edits import layers
+from gsrain_engine.editor.edits.actors import retime_actor, turn_actor
+from gsrain_engine.editor.edits.gaussians import (
+    CropBox,
+    compact,
+    crop,
+    delete_selected,
+    hide_selected,
+    isolate_selected,
+    show_all,
+)
+from gsrain_engine.editor.edits.level import level_from_points, set_length
+from gsrain_engine.editor.edits.transform import move_member, move_selected
+from gsrain_engine.scene.flags import Mask
+from gsrain_engine.scene.formats.scene_json import record_of
+from gsrain_engine.scene.scene import Grading
 
 from .edited_scene import edited_scene, turned
 

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.session.edits import layers
-from gsrain_engine.session.edits.names import unique_name
+from gsrain_engine.editor.edits import layers
+from gsrain_engine.editor.edits.members import unique_name
+from gsrain_engine.scene.flags import Mask
 
 from .edited_scene import assert_same, edited_scene, seen, with_selection
 

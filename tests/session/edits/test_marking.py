@@ -3,16 +3,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.session.edits.compacting import compact, deleted_count
-from gsrain_engine.session.edits.cropping import CropBox, box_around, crop
-from gsrain_engine.session.edits.marking import (
+from gsrain_engine.editor.edits.gaussians import (
+    CropBox,
+    box_around,
+    compact,
+    crop,
     delete_selected,
+    deleted_count,
     hide_selected,
     isolate_selected,
     selected_count,
     show_all,
 )
+from gsrain_engine.scene.flags import Mask
 
 from .edited_scene import assert_same, edited_scene, seen, with_selection
 

@@ -5,10 +5,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.flattening import moved
-from gsrain_engine.session.edits.actors import duration_of, retime_actor, start_of, turn_actor
-from gsrain_engine.session.edits.moving import move_member, move_selected, moving, pivot
-from gsrain_engine.session.edits.pose import Pose, layer_pose, pose_of, set_layer_pose
+from gsrain_engine.editor.edits.actors import duration_of, retime_actor, start_of, turn_actor
+from gsrain_engine.editor.edits.transform import (
+    Pose,
+    layer_pose,
+    move_member,
+    move_selected,
+    moving,
+    pivot,
+    pose_of,
+    set_layer_pose,
+)
+from gsrain_engine.scene.transforms import moved
 
 from .edited_scene import assert_same, edited_scene, seen, turned, with_selection, without
 

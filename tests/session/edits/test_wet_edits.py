@@ -5,24 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.reconstruct.recoloring.recolored_scene import with_colors
-from gsrain_engine.scene.flattening import flattened
-from gsrain_engine.scene.formats import write_scene
+from gsrain_engine.editor.edits import gaussians, layers
+from gsrain_engine.editor.edits.actors import turn_actor
+from gsrain_engine.editor.edits.gaussians import compact
+from gsrain_engine.editor.edits.members import with_gaussians_of
+from gsrain_engine.editor.edits.transform import move_member, move_selected, moving
+from gsrain_engine.recolor.result import with_colors
+from gsrain_engine.scene.flags import UNMARKED, Mask
+from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.marks import UNMARKED
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.open_scene import open_to_draw
-from gsrain_engine.scene.wet_colors import (
+from gsrain_engine.scene.open import open_to_draw
+from gsrain_engine.scene.transforms import (
     blended_sh,
+    flattened,
     with_wet_colors_of,
     with_wetness_baked,
     without_wet_colors,
 )
-from gsrain_engine.session.edits import layers, marking
-from gsrain_engine.session.edits.actors import turn_actor
-from gsrain_engine.session.edits.compacting import compact
-from gsrain_engine.session.edits.moving import move_member, move_selected, moving
-from gsrain_engine.session.edits.new_gaussians import with_gaussians_of
 
 from .edited_scene import assert_same, edited_scene, turned, with_selection, without
 from .edited_scene import seen as seen_together
@@ -63,8 +62,8 @@ def twice(scene):
 
 EDITS = {
     "nothing": lambda scene: scene,
-    "delete": marking.delete_selected,
-    "isolate": marking.isolate_selected,
+    "delete": gaussians.delete_selected,
+    "isolate": gaussians.isolate_selected,
     "compact": compact,
     "separate": layers.separate,
     "merge": lambda scene: layers.merge(scene, ["layers/ground", "layers/house"]),

@@ -5,15 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.paths.camera_path import CameraPath
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.edits.ego_origin import SENSOR_HEIGHT_M, set_ego_start, set_origin
-from gsrain_engine.session.edits.level import find_ground, level_from_ground, level_from_points, set_ground_height
-from gsrain_engine.session.edits.scale import distance_m, set_camera_height, set_length
-from gsrain_engine.session.session import Session
-from gsrain_engine.session.view.following import Following
-from gsrain_engine.session.view.navigation import Navigation
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.edits.actors import SENSOR_HEIGHT_M, set_ego_start, set_origin
+from gsrain_engine.editor.edits.level import (
+    distance_m,
+    find_ground,
+    level_from_ground,
+    level_from_points,
+    set_camera_height,
+    set_ground_height,
+    set_length,
+)
+from gsrain_engine.editor.viewport.camera import Navigation
+from gsrain_engine.editor.viewport.camera_follow import Following
+from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.scene import Layer, Scene
 from small_scene import small_scene
 
 from .edited_scene import edited_scene, some_gaussians, turned

@@ -2,8 +2,8 @@
 
 import pytest
 
-from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.scene.formats.scene_files import write_scene
 from session.files.open_document import settle
 from small_scene import small_scene
 

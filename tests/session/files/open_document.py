@@ -4,10 +4,9 @@ from concurrent.futures import wait
 
 import numpy as np
 
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
+from gsrain_engine.editor.viewport_state import StagedScene
+from gsrain_engine.scene.flags import Marks, Mask
 from gsrain_engine.scene.progress import Progress
-from gsrain_engine.session.document.staged_scene import StagedScene
 
 
 def settle(session):

@@ -8,9 +8,8 @@ from concurrent.futures import wait
 
 import numpy as np
 
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.scene.flags import Marks, Mask
 
 
 def settle(session: Session) -> None:

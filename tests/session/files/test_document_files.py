@@ -7,22 +7,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.scene.errors import SceneFormatError
-from gsrain_engine.scene.flattening import left_out_when_flat
-from gsrain_engine.scene.formats import read_scene, write_scene
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.paths.camera_path import CameraPath
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.appearance.transfer_preview import TransferPreview
-from gsrain_engine.session.appearance.transfer_training import TransferTraining
-from gsrain_engine.session.drive.drive_job import DriveJob
-from gsrain_engine.session.drive.film_job import DriveFilmJob
-from gsrain_engine.session.jobs.background_job import BackgroundJob
-from gsrain_engine.session.jobs.floater_job import FloaterJob
-from gsrain_engine.session.jobs.scene_job import SceneJob
-from gsrain_engine.session.recording.recording_job import RecordingJob
+from gsrain_engine.editor.jobs.drive import DriveFilmJob, DriveJob
+from gsrain_engine.editor.jobs.floaters import FloaterJob
+from gsrain_engine.editor.jobs.job import BackgroundJob, SceneJob
+from gsrain_engine.editor.jobs.make_rainy import TransferPreview
+from gsrain_engine.editor.jobs.record import RecordingJob
+from gsrain_engine.editor.jobs.training import TransferTraining
+from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.scene.scene import Layer, Scene
+from gsrain_engine.scene.transforms import left_out_when_flat
 from session.files.open_document import HeldJob, answer, delete_every_third, keep_now, names_in, settle
 from small_scene import small_scene
 
@@ -299,7 +295,7 @@ def test_a_save_that_fails_does_not_leave(session, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("gsrain_engine.session.files.scene_files.write_scene", full)
+    monkeypatch.setattr("gsrain_engine.editor.files.write_scene", full)
     delete_every_third(session)
     session.leave()
     answer(session, "Save")

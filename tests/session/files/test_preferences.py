@@ -6,14 +6,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gsrain_engine.session.files.recent_files import MOST, add_recent_file, forget_recent_file, recent_files
-from gsrain_engine.session.preferences.preferences import (
-    Preferences,
-    load_preferences,
-    preferences_file,
-    save_preferences,
-)
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.files import MOST, add_recent_file, forget_recent_file, recent_files
+from gsrain_engine.editor.preferences import Preferences, load_preferences, preferences_file, save_preferences
 
 
 def test_preferences_come_back():

@@ -4,8 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from gsrain_engine.scene.formats import read_scene
-from gsrain_engine.session.files.autosave import beside
+from gsrain_engine.editor.autosave import beside
+from gsrain_engine.scene.formats.scene_files import read_scene
 from session.files.open_document import answer, delete_every_third, keep_now, names_in, settle
 from small_scene import small_scene
 
@@ -16,7 +16,7 @@ def test_an_autosave_that_fails_is_told_once_and_tried_again(session, home, monk
 
     delete_every_third(session)
     with monkeypatch.context() as patched:
-        patched.setattr("gsrain_engine.session.files.autosave.write_scene_folder", full)
+        patched.setattr("gsrain_engine.editor.autosave.write_scene_folder", full)
         keep_now(session)
         assert "autosave can't be written: No space left" in session.problem
         session.problem = None

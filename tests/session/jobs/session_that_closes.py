@@ -7,9 +7,9 @@ import sys
 from multiprocessing.connection import wait
 from pathlib import Path
 
-from gsrain_engine.reconstruct.training.settings import TrainingSettings
-from gsrain_engine.session.jobs.reconstruction import Reconstruction
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.jobs.training import Reconstruction
+from gsrain_engine.training.settings import TrainingSettings
 
 
 def main(capture: str) -> None:

@@ -10,10 +10,9 @@ import numpy as np
 import psutil
 import pytest
 
+from gsrain_engine.editor.jobs import process
+from gsrain_engine.editor.jobs.process import Job, SharedPicture
 from gsrain_engine.scene.progress import Progress
-from gsrain_engine.session.jobs import worker
-from gsrain_engine.session.jobs.shared_picture import SharedPicture
-from gsrain_engine.session.jobs.worker import Job
 
 
 def counting(path, steps):
@@ -103,7 +102,7 @@ def test_what_can_t_be_started_leaves_no_shared_memory(monkeypatch):
             super().__init__()
             made.append(self.name)
 
-    monkeypatch.setattr(worker, "SharedPicture", Recorded)
+    monkeypatch.setattr(process, "SharedPicture", Recorded)
     with pytest.raises(AttributeError, match="pickle"):
         Job("Local", counting, lambda: None)
     with pytest.raises(FileNotFoundError):

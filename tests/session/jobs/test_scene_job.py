@@ -11,12 +11,12 @@ import numpy as np
 import psutil
 import pytest
 
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.jobs.job import Assignment, SceneJob
+from gsrain_engine.editor.viewport_state import StagedScene
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.formats.scene_folder import write_scene_folder
 from gsrain_engine.scene.progress import Progress
-from gsrain_engine.session.document.staged_scene import StagedScene
-from gsrain_engine.session.jobs.scene_job import Assignment, SceneJob
-from gsrain_engine.session.session import Session
 from small_scene import small_scene
 
 

@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 
 from appearance.matching.street_views import made_view
-from gsrain_engine.appearance.matching.correspondence import Outcome, correspondence
+from gsrain_engine.appearance.correspondence import COLORS, Outcome, correspondence
 from gsrain_engine.datasets.capture import Capture, View
 from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.matching import neighbour
+from gsrain_engine.editor.matching_image import MatchableViews, MatchedViews, flow_lines, matching_picture, shares
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.session.matching.matched_views import MatchableViews, MatchedViews
-from gsrain_engine.session.matching.matching_colors import COLORS
-from gsrain_engine.session.matching.matching_picture import flow_lines, matching_picture, shares
-from gsrain_engine.session.matching.other_view import neighbour
-from gsrain_engine.session.session import Session
 from small_scene import small_scene
 
 UP = np.array([0.0, 0.0, 1.0])

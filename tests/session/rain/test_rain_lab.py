@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gsrain_engine.disdrometer.netcdf import write_spectra
+from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.rain import RainLab, compare_calibration, use_calibration, use_fitted_calibration
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.disdrometer.netcdf_spectra import write_spectra
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.rain.rainfall import Rainfall
-from gsrain_engine.rain.virtual_disdrometer import VirtualDisdrometer
-from gsrain_engine.session.rain.calibrations import compare_calibration, use_calibration, use_fitted_calibration
-from gsrain_engine.session.rain.rain_lab import RainLab
-from gsrain_engine.session.session import Session
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.simulation import Rainfall
 from measured_rain import measured_rain
 from parsivel_text import rain, velocity_major
 

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.rain import HAZE_REGION, STREAK_REGION, Box
+from gsrain_engine.editor.rain_regions import FaceHandle, FacePull, face_handles, frustum_lines, inset_shot
+from gsrain_engine.rain.settings import HAZE_REGION, STREAK_REGION, Box
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.session.rain.region_handles import FaceHandle, FacePull, face_handles
-from gsrain_engine.session.rain.region_inset import frustum_lines, inset_shot
 
 UP = np.array([0.0, 0, 1])
 

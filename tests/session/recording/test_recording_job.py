@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.command_line import run
-from gsrain_engine.rain.rain import Rain
-from gsrain_engine.scene.formats import write_scene
-from gsrain_engine.scene.paths.camera_path import CameraPath
-from gsrain_engine.session.files.saved_scene import saved_scene
-from gsrain_engine.session.session import Session
+from app.main import run
+from gsrain_engine.editor.autosave import saved_scene
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.rain.settings import Rain
+from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 
 

@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from gsrain_engine.render.scene_view import Shot
+from gsrain_engine.render.draw import Shot
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.scene import Layer, Scene
 from small_scene import patch
 
 WIDTH, HEIGHT = 96, 64

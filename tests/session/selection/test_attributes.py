@@ -3,12 +3,17 @@ import colorsys
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.session.selection.attributes import ATTRIBUTES, in_range, layer_names, read_attribute, readings
-from gsrain_engine.session.selection.colors import base_colors
-from gsrain_engine.session.selection.combine import all_selected, combined
-from gsrain_engine.session.selection.histogram import BINS, AttributeHistogram
+from gsrain_engine.editor.selection.attributes import (
+    ATTRIBUTES,
+    BINS,
+    AttributeHistogram,
+    in_range,
+    layer_names,
+    read_attribute,
+    readings,
+)
+from gsrain_engine.editor.selection.candidates import all_selected, base_colors, combined
+from gsrain_engine.scene.flags import Marks, Mask
 
 from .selection_scenes import cloud, pixels_of, shot_at, world_means
 

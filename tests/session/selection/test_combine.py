@@ -5,9 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.session.selection.combine import (
+from gsrain_engine.editor.selection.candidates import (
     all_selected,
     combined,
     inverted,
@@ -16,6 +14,7 @@ from gsrain_engine.session.selection.combine import (
     selected,
     selected_count,
 )
+from gsrain_engine.scene.flags import Marks, Mask
 
 from .selection_scenes import cloud
 

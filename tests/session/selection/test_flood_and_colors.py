@@ -5,12 +5,10 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
+from gsrain_engine.editor.selection.candidates import alike, base_color, base_colors
+from gsrain_engine.editor.selection.volume import _connected, flooded
 from gsrain_engine.scene.gaussians import SH_C0
-from gsrain_engine.scene.grading import Grading
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.selection.colors import alike, base_color, base_colors
-from gsrain_engine.session.selection.flood import _connected, flooded
+from gsrain_engine.scene.scene import Grading, Layer, Scene
 from small_scene import patch
 
 from .selection_scenes import cloud, two_walls

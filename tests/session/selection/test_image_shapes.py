@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.session.selection.image_shapes import outlines, polygon, rectangle, stroke
+from gsrain_engine.editor.selection.screen import outlines, polygon, rectangle, stroke
 
 W, H = 40, 30
 places = st.tuples(st.integers(-1300, 3900), st.integers(-1300, 3300)).map(lambda xy: (xy[0] / 65, xy[1] / 65))

@@ -5,11 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.session.selection.image_shapes import rectangle
-from gsrain_engine.session.selection.in_picture import Reach, in_picture
-from gsrain_engine.session.selection.seen import seen_shares
+from gsrain_engine.editor.selection.screen import Reach, in_picture, rectangle, seen_shares
+from gsrain_engine.scene.flags import Marks, Mask
 
 from .selection_scenes import HEIGHT, WIDTH, cloud, pixels_of, shot_at, two_walls, world_means
 

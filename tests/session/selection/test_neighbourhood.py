@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.session.selection.combine import combined, selected, selected_count
-from gsrain_engine.session.selection.neighbourhood import grown, rim
+from gsrain_engine.editor.selection.candidates import combined, selected, selected_count
+from gsrain_engine.editor.selection.volume import grown, rim
+from gsrain_engine.scene.flags import Mask
 
 from .selection_scenes import cloud, world_means
 

@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.session.selection import steps
-from gsrain_engine.session.selection.combine import selected, selected_count
-from gsrain_engine.session.selection.saved_sets import found_in_set, renamed, saved
-from gsrain_engine.session.session import Session
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.selection import commands
+from gsrain_engine.editor.selection.candidates import selected, selected_count
+from gsrain_engine.editor.selection.commands import found_in_set, renamed, saved
+from gsrain_engine.scene.flags import Mask
 
 from .selection_scenes import cloud
 
@@ -26,13 +26,13 @@ def first(count):
 
 
 def test_names_of_steps_tell_what_happened(session):
-    steps.select(session, first(200), "set", "lasso")
-    steps.select(session, {KEY: Mask.of(np.arange(300) >= 150)}, "add", "brush")
-    steps.select(session, first(20), "remove", "box")
-    steps.select(session, first(100), "intersect", "sphere")
-    steps.select(session, {}, "set", "rectangle")
-    steps.select_all(session)
-    steps.invert(session)
+    commands.select(session, first(200), "set", "lasso")
+    commands.select(session, {KEY: Mask.of(np.arange(300) >= 150)}, "add", "brush")
+    commands.select(session, first(20), "remove", "box")
+    commands.select(session, first(100), "intersect", "sphere")
+    commands.select(session, {}, "set", "rectangle")
+    commands.select_all(session)
+    commands.invert(session)
     assert session.history.labels[1:] == [
         "Select 200 by lasso", "Add 100 by brush", "Remove 20 by box", "Keep 80 by sphere", "Select none by rectangle",
         "Select all 600", "Invert selection to 0",
@@ -42,35 +42,35 @@ def test_names_of_steps_tell_what_happened(session):
 
 
 def test_what_changes_nothing_is_no_step(session):
-    steps.select_none(session)
-    steps.select(session, {}, "set", "lasso")
-    steps.select(session, first(5), "remove", "lasso")
-    steps.grow(session, 1.0)
-    steps.shrink(session, 1.0)
+    commands.select_none(session)
+    commands.select(session, {}, "set", "lasso")
+    commands.select(session, first(5), "remove", "lasso")
+    commands.grow(session, 1.0)
+    commands.shrink(session, 1.0)
     assert session.history.labels == ["Open"]
 
 
 def test_growing_and_shrinking_are_steps(session):
-    steps.select(session, first(10), "set", "lasso")
-    steps.grow(session, 2.0)
+    commands.select(session, first(10), "set", "lasso")
+    commands.grow(session, 2.0)
     grown = selected_count(session.scene)
     assert grown > 10
     assert session.history.undo_label == f"Grow selection by 2 m to {grown}"
-    steps.shrink(session, 1.0)
+    commands.shrink(session, 1.0)
     assert selected_count(session.scene) < grown
 
 
 def test_sets_are_saved_recalled_renamed_and_deleted_and_all_is_undone(session):
-    assert not steps.has_selection(session)
-    steps.select(session, first(30), "set", "lasso")
-    assert steps.save_set(session)
+    assert not commands.has_selection(session)
+    commands.select(session, first(30), "set", "lasso")
+    assert commands.save_set(session)
     assert list(session.scene.selections) == ["selection 1"]
-    steps.select_none(session)
-    steps.recall_set(session, "selection 1", "add")
+    commands.select_none(session)
+    commands.recall_set(session, "selection 1", "add")
     assert session.history.undo_label == "Add 30 by set selection 1"
-    assert steps.rename_set(session, "selection 1", " heads ")
+    assert commands.rename_set(session, "selection 1", " heads ")
     assert list(session.scene.selections) == ["heads"]
-    steps.remove_set(session, "heads")
+    commands.remove_set(session, "heads")
     assert session.scene.selections == {}
     assert selected_count(session.scene) == 30
     while session.history.undo_label is not None:
@@ -80,14 +80,14 @@ def test_sets_are_saved_recalled_renamed_and_deleted_and_all_is_undone(session):
 
 
 def test_what_is_wrong_with_a_set_is_told_and_nothing_changes(session):
-    assert not steps.save_set(session, "a")
+    assert not commands.save_set(session, "a")
     assert "nothing is selected" in session.problem
-    steps.select(session, first(3), "set", "lasso")
-    assert not steps.save_set(session, "  ")
+    commands.select(session, first(3), "set", "lasso")
+    assert not commands.save_set(session, "  ")
     assert "name" in session.problem
-    assert steps.save_set(session, "a") and steps.save_set(session, "b")
+    assert commands.save_set(session, "a") and commands.save_set(session, "b")
     before = session.scene
-    assert not steps.rename_set(session, "a", "b")
+    assert not commands.rename_set(session, "a", "b")
     assert "'b' already" in session.problem
     assert session.scene is before
 
@@ -108,9 +108,9 @@ def test_sets_pass_by_members_that_are_gone_or_other():
 
 
 def test_hidden_gaussians_of_a_set_stay_as_they_are(session):
-    steps.select(session, first(30), "set", "lasso")
-    steps.save_set(session, "a")
+    commands.select(session, first(30), "set", "lasso")
+    commands.save_set(session, "a")
     marks = replace(session.scene.layers[0].marks, selected=None, hidden=first(10)[KEY])
     session.set_scene("Hide", session.scene.with_member(KEY, marks=marks))
-    steps.recall_set(session, "a", "set")
+    commands.recall_set(session, "a", "set")
     assert selected(session.scene.layers[0]).indices.tolist() == list(range(10, 30))

@@ -2,8 +2,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.session.edits.cropping import CropBox
-from gsrain_engine.session.selection.volumes import Ball, in_volume, standing_on
+from gsrain_engine.editor.edits.gaussians import CropBox
+from gsrain_engine.editor.selection.volume import Ball, in_volume, standing_on
 
 from .selection_scenes import cloud, world_means
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.session.timeline.clock import Clock
+from gsrain_engine.editor.timeline import Clock
 
 
 def test_without_a_span_time_goes_on_and_on():

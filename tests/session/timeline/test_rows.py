@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.weather import Weather, WeatherKey
-from gsrain_engine.scene.track import Track
-from gsrain_engine.session.timeline.rows import ego_speed_km_h, presence, track_rows, weather_row
+from gsrain_engine.editor.timeline import ego_speed_km_h, presence, track_rows, weather_row
+from gsrain_engine.rain.keyframes import Weather, WeatherKey
+from gsrain_engine.scene.scene import Track
 from small_scene import small_scene
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.session.timeline.ruler import Ruler
+from gsrain_engine.editor.timeline import Ruler
 
 
 @given(st.floats(0, 100), st.floats(0.2, 500), st.floats(0, 800), st.floats(-5, 5))

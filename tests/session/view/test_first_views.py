@@ -5,16 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.raster.cpu_renderer import CpuRenderer
-from gsrain_engine.scene.bounds import Core
-from gsrain_engine.scene.flattening import FILE_UP, flattened
+from gsrain_engine.editor.viewport.camera import Navigation, home_camera, home_navigation, is_in_view, scene_core
+from gsrain_engine.editor.viewport_state import ViewedDocument
+from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.members import Layer
-from gsrain_engine.scene.open_scene import cached_street
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.session.document.viewed_document import ViewedDocument
-from gsrain_engine.session.view.home_camera import home_camera, home_navigation, scene_core
-from gsrain_engine.session.view.navigation import Navigation, is_in_view
+from gsrain_engine.scene.open import cached_street
+from gsrain_engine.scene.scene import Core, Layer, Scene
+from gsrain_engine.scene.transforms import FILE_UP, flattened
 from small_scene import small_scene
 
 WIDTH, HEIGHT = 96, 64
@@ -193,9 +190,7 @@ def test_framing_with_a_long_lens_stays_inside_of_the_sky():
 def test_the_core_is_looked_for_once_while_nothing_else_is_to_be_seen(monkeypatch):
     calls = []
     real = scene_core
-    monkeypatch.setattr(
-        "gsrain_engine.session.document.viewed_document.scene_core", lambda scene: calls.append(1) or real(scene)
-    )
+    monkeypatch.setattr("gsrain_engine.editor.viewport_state.scene_core", lambda scene: calls.append(1) or real(scene))
     document = ViewedDocument(surrounded())
     for _ in range(5):
         document.dolly(1.0)

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.session.view.interaction_budget import EXACT, LEVELS, SETTLED_S, Detail, InteractionBudget
+from gsrain_engine.editor.viewport.options import EXACT, LEVELS, SETTLED_S, Detail, InteractionBudget
 
 
 def cost_ms(detail, by_gaussians_ms, by_pixels_ms, fixed_ms=2.0):

@@ -3,11 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.render.scene_view import Shot
+from gsrain_engine.editor.viewport.picking import pick, pick_point
+from gsrain_engine.render.draw import Shot
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.marks import Marks
-from gsrain_engine.scene.mask import Mask
-from gsrain_engine.session.view.picking import pick, pick_point
+from gsrain_engine.scene.flags import Marks, Mask
 from small_scene import small_scene
 
 

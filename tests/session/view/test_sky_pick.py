@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.render.scene_view import Shot
+from gsrain_engine.editor.viewport.picking import SkyPick, color_there
+from gsrain_engine.render.draw import Shot
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.srgb import linear_to_srgb, srgb_to_linear
-from gsrain_engine.session.view.sky_pick import SkyPick, color_there
+from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
 from small_scene import small_scene
 
 

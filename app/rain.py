@@ -1,0 +1,324 @@
+"""`gsrain calibrate FILES... -o CAL.yaml`: a rain calibration from disdrometer spectra."""
+
+from dataclasses import asdict, is_dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+from cyclopts import Parameter
+from jaxtyping import Float64, Int64
+
+from gsrain_engine.disdrometer.file_summary import Measured, MeasuredFile, open_measured
+from gsrain_engine.disdrometer.fit import RatesDisagreeError, calibrate_files
+from gsrain_engine.disdrometer.fit_models import FitOptions, FittedCalibration, FittedRow
+from gsrain_engine.disdrometer.fit_plot import check_plot_name, write_plot
+from gsrain_engine.disdrometer.measurement import CountedDrops
+from gsrain_engine.disdrometer.netcdf import write_spectra
+from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
+from gsrain_engine.rain.calibration import save_calibration
+from gsrain_engine.rain.settings import Rain, load_preset
+from gsrain_engine.rain.simulation import Rainfall
+
+from .console import Console, Table, print, print_lines
+from .options import RAIN_OPTIONS, JsonFile, check_writable, converted_options, write_numbers
+from .progress import progress_bar
+from .scene import Columns, columns_of
+
+_DEFAULTS = FitOptions()
+
+_COLUMNS = 120  # of the table, also where output goes into a file
+
+
+def calibrate(
+    files: Annotated[list[Path], Parameter(help="Disdrometer files of one instrument; gzip is fine.")],
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Calibration file to write, .yaml.")],
+    plot: Annotated[Path | None, Parameter(help="Figure of spectra, fits and closure: .png, .pdf or .svg.")] = None,
+    name: Annotated[str | None, Parameter(help="Name of the calibration; default: that of the file.")] = None,
+    intensities: Annotated[
+        str | None, Parameter(help="Middles of the intensity bins in mm/h, with commas between; default: 0.3 to 90.")
+    ] = None,
+    half_width: Annotated[
+        float, Parameter(help="Minutes within this share of a bin's middle belong to it.")
+    ] = _DEFAULTS.half_width,
+    smallest_mm: Annotated[
+        float, Parameter(help="Leave out diameter classes that begin below, where an instrument misses drops.")
+    ] = _DEFAULTS.smallest_mm,
+    resamples: Annotated[
+        int, Parameter(help="Bootstrap draws behind the 95 % intervals; 0: none.")
+    ] = _DEFAULTS.resamples,
+    seed: Annotated[int, Parameter(help="Of the bootstrap.")] = _DEFAULTS.seed,
+    columns: Columns = None,
+    force: Annotated[
+        bool,
+        Parameter(
+            negative="",
+            help="Fit even where the drops' rain rate is not 0.7 to 1.4 times the instrument's own, or r is below 0.9.",
+        ),
+    ] = False,
+    json: JsonFile = None,
+) -> None:
+    """Fit drop number, sizes and fall speed to measured spectra, by intensity, with 95 % intervals.
+
+    Prints of each file its instrument, records, drops and rain, what is rejected and why, and how well the rate from
+    the drops agrees with the instrument's own. Where they disagree over 30 rainy records or more (a ratio outside 0.7
+    to 1.4, or r below 0.9: snow, insects, other classes), nothing is fitted without --force. `gsrain info FILE` prints
+    the same.
+    """
+    options = _options(intensities, half_width=half_width, smallest_mm=smallest_mm, resamples=resamples, seed=seed)
+    if output.suffix not in (".yaml", ".yml"):
+        raise ValueError(f"{output}: expected a name that ends with .yaml")
+    if plot is not None:
+        check_plot_name(plot)
+    described = columns_of(columns)
+    check_writable(output, plot, json)
+    measured: list[MeasuredFile] = []
+    with progress_bar("Reading", len(files)) as advance:
+        for path in files:
+            measured.append(open_measured(path, described))
+            advance()
+    found = [each.measured() for each in measured]
+    for each in found:
+        print_lines("\n".join(each.lines))
+    try:
+        fitted = calibrate_files(measured, name=name or output.stem, options=options, force=force)
+    except RatesDisagreeError as error:
+        raise ValueError(f"{error} --force fits all the same") from None
+    output.parent.mkdir(parents=True, exist_ok=True)
+    save_calibration(fitted.calibration, output)
+    if plot is not None:
+        plot.parent.mkdir(parents=True, exist_ok=True)
+        write_plot(fitted, plot)
+    _print(fitted, len(measured))
+    write_numbers(json, _numbers(fitted, measured, found))
+    for path in (output, plot, json):
+        if path is not None:
+            print(path)
+
+
+def _options(intensities: str | None, **others: float) -> FitOptions:
+    """Check the options; errors name them as they are typed."""
+    values: dict[str, Any] = dict(others)
+    if intensities is not None:
+        try:
+            values["intensities_mm_h"] = [float(each) for each in intensities.split(",")]
+        except ValueError:
+            raise ValueError(f"--intensities {intensities}: expected numbers in mm/h such as 1.2,8.5,12") from None
+    return converted_options(values, FitOptions, {"intensities_mm_h": "intensities"})
+
+
+def _numbers(fitted: FittedCalibration, measured: list[MeasuredFile], found: list[Measured]) -> dict[str, Any]:
+    check, ratios = fitted.rate_check, fitted.axis_ratios
+    velocity = fitted.calibration.velocity
+    skipped = [f"{each.path.name}: {reason}" for each in measured for reason in each.reading.skipped]
+    return {
+        "instrument": found[0].instrument,
+        "drops": sum(each.drops for each in found),
+        "rain_mm": sum(each.rain_mm for each in found),
+        "records": fitted.records,
+        "records_used": fitted.records_used,
+        "records_skipped": skipped,
+        "rate_ratio": None if check is None else check.ratio,
+        "rate_correlation": None if check is None else check.correlation,
+        "rate_records": 0 if check is None else check.records,
+        "velocity": {
+            "coefficients": list(velocity.coefficients),
+            "r2": velocity.r2,
+            "confidence": fitted.velocity_confidence,
+            "measured": fitted.speeds is not None,
+        },
+        "fitted_range_mm": list(fitted.fitted_range_mm),
+        "rows": [_row_numbers(each) for each in fitted.rows],
+        "bins_without_row": list(fitted.passed_over),
+        "axis_ratio": None
+        if ratios is None
+        else {"offset": ratios.offset, "slope_per_mm": ratios.slope_per_mm, "r2": ratios.r2, "drops": ratios.drops},
+        "files": [each.numbers() for each in found],
+        "quality": [{"file": each.path.name} | _plain(each.quality) for each in measured],
+    }
+
+
+def _row_numbers(each: FittedRow) -> dict[str, Any]:
+    return msgspec.to_builtins(each.row) | {
+        "moments": {"shape": each.moments_shape, "scale_mm": each.moments_scale_mm},
+        "implied_mm_h": each.implied_mm_h,
+        "minutes": each.minutes,
+        "records": each.records,
+        "drops": each.drops,
+    }
+
+
+def _plain(report: Any) -> dict[str, Any]:
+    return asdict(report) if is_dataclass(report) and not isinstance(report, type) else msgspec.to_builtins(report)
+
+
+def _print(fitted: FittedCalibration, files: int) -> None:
+    console = Console(width=_COLUMNS, highlight=False, markup=False)
+    if files > 1 and fitted.rate_check is not None:
+        console.print(f"all {files} files: {fitted.rate_check.line}")
+    a, b, c = fitted.calibration.velocity.coefficients
+    r2 = fitted.calibration.velocity.r2
+    quality = "assumed: the instrument measures no speed" if r2 is None else f"R² = {r2:.4f}"
+    console.print(f"V = {a:.4g} D² {b:+.4g} D {c:+.4g} m/s, {quality}")
+    table = Table(
+        "mm/h", "minutes", "drops", "N per m³", "shape", "scale mm", "by moments (mm)", "implied mm/h", box=None
+    )
+    for each in fitted.rows:
+        row = each.row
+        limits = (None,) * 3 if row.confidence is None else tuple(msgspec.structs.astuple(row.confidence))
+        values = (row.density_m3, row.shape, row.scale_mm)
+        table.add_row(
+            f"{row.intensity_mm_h:.3g}",
+            f"{each.minutes:,}",
+            f"{each.drops:,}",
+            *(_with_limits(*pair) for pair in zip(values, limits, strict=True)),
+            f"{each.moments_shape:.3g} x {each.moments_scale_mm:.3g}",
+            f"{each.implied_mm_h:.3g}",
+        )
+    console.print(table)
+    if fitted.passed_over:
+        bins = ", ".join(reason.partition(" mm/h")[0] for reason in fitted.passed_over)
+        console.print(f"too little rain for a row at {bins} mm/h")
+
+
+def _with_limits(value: float, limits: tuple[float, float] | None) -> str:
+    return f"{value:.3g}" if limits is None else f"{value:.3g} ({limits[0]:.3g}..{limits[1]:.3g})"
+
+
+# § `gsrain disdrometer`: measures whether the simulated rain carries the water that was asked for.
+
+_ROWS_MM = np.array([0.1, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0])
+
+_LONGEST_S = 86_400.0
+
+_RECORDS = 10_000
+
+
+def disdrometer(
+    *,
+    rain: Annotated[
+        float | None, Parameter(help="Rainfall intensity in mm/h, 0..100; default 8.5, or the preset's.")
+    ] = None,
+    preset: Annotated[
+        str | None, Parameter(help="clear, 1.2, 8.5, 12.0, paper, or a preset file; other options go on top.")
+    ] = None,
+    calibration: Annotated[
+        str | None, Parameter(help="Name of a shipped calibration, or a file that gsrain calibrate wrote.")
+    ] = None,
+    closure: Annotated[
+        Literal["density", "published"] | None,
+        Parameter(help="density: as many drops as the intensity needs; published: the paper's table as it is."),
+    ] = None,
+    seed: Annotated[int | None, Parameter(help="Same seed and time, same drops.")] = None,
+    area: Annotated[float, Parameter(help="Catching area in m².")] = 0.5,
+    seconds: Annotated[float, Parameter(help="How long to measure, in simulated seconds.")] = 60.0,
+    record: Annotated[float, Parameter(help="Seconds a record: one spectrum each.")] = 60.0,
+    output: Annotated[
+        Path | None, Parameter(name=["--output", "-o"], help="Write the spectra to this netCDF file (.nc).")
+    ] = None,
+    json: JsonFile = None,
+) -> None:
+    """Count simulated drops through a horizontal area; report their rain rate and sizes.
+
+    `gsrain calibrate` reads what -o writes, so that the simulation can be fitted like a measurement.
+    """
+    times = _times(seconds, record)
+    if output is not None and output.suffix != ".nc":
+        raise ValueError(f"--output {output}: expected a name that ends in .nc")
+    check_writable(output, json)
+    rainfall = Rainfall.start(_rain(rain, preset, calibration, closure, seed))
+    instrument = VirtualDisdrometer(rainfall, area)
+    counts: list[Int64[np.ndarray, " classes"]] = []
+    with progress_bar("Counting drops", len(times) - 1) as advance:
+        for start, end in pairwise(times):
+            counts.append(instrument.count(start, end))
+            advance()
+    counted = instrument.collect(times, counts)
+    if output is not None:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        write_spectra(output, counted.spectra)
+    write_numbers(json, _disdrometer_numbers(counted))
+    _print_disdrometer(counted)
+    if output is not None:
+        print(f"{output}: {len(counts)} spectra")
+
+
+def _rain(
+    intensity: float | None, preset: str | None, calibration: str | None, closure: str | None, seed: int | None
+) -> Rain:
+    chosen = load_preset(preset) if preset is not None else Rain(intensity_mm_h=8.5)
+    asked = {"intensity_mm_h": intensity, "calibration": calibration, "closure": closure, "seed": seed}
+    values = msgspec.to_builtins(chosen) | {name: value for name, value in asked.items() if value is not None}
+    return converted_options(values, Rain, RAIN_OPTIONS)
+
+
+def _times(seconds: float, record: float) -> Float64[np.ndarray, " records_and_one"]:
+    """Bounds of the records; the last one is what is left."""
+    for option, value in (("--seconds", seconds), ("--record", record)):
+        if not 0.001 <= value <= _LONGEST_S:
+            raise ValueError(f"{option} {value:g}: must be within 0.001..{_LONGEST_S:g} s")
+    whole = round(seconds / record, 6)
+    if whole > _RECORDS:
+        raise ValueError(f"--record {record:g}: {seconds:g} s make {whole:.0f} records, at most {_RECORDS}")
+    return np.append(np.arange(max(1, np.ceil(whole))) * record, seconds)
+
+
+def _disdrometer_numbers(counted: CountedDrops) -> dict[str, Any]:
+    state, edges = counted.state, counted.spectra.diameter_edges_mm
+    return {
+        "requested_mm_h": state.intensity_mm_h,
+        "implied_mm_h": state.implied_mm_h,
+        "measured_mm_h": counted.rate_mm_h,
+        "standard_error_mm_h": counted.standard_error_mm_h,
+        "drops_counted": counted.drops,
+        "mean_diameter_mm": counted.mean_diameter_mm,
+        "requested_mean_diameter_mm": state.mean_diameter_mm,
+        "mean_counted_diameter_mm": counted.mean_counted_diameter_mm,
+        "density_m3": counted.density_m3,
+        "requested_density_m3": state.density_m3,
+        "area_m2": counted.area_m2,
+        "seconds": float(counted.seconds.sum()),
+        "records": len(counted.counts),
+        "record_mm_h": counted.record_rates_mm_h.tolist(),
+        "beyond_calibration": state.beyond_calibration,
+        "spectrum": _spectrum(counted, edges),
+    }
+
+
+def _spectrum(counted: CountedDrops, edges_mm: Float64[np.ndarray, " n_and_one"]) -> dict[str, list[float]]:
+    """Drops counted, and drops in the air, by diameter."""
+    drops, _ = np.histogram(counted.diameters_mm, edges_mm, weights=counted.counts.sum(axis=0).astype(float))
+    in_air, _ = np.histogram(counted.diameters_mm, edges_mm, weights=counted.in_air_m3)
+    return {
+        "diameter_edges_mm": edges_mm.tolist(),
+        "drops": drops.tolist(),
+        "drops_per_m3_mm": (in_air / np.diff(edges_mm)).tolist(),
+    }
+
+
+def _print_disdrometer(counted: CountedDrops) -> None:
+    console, state = Console(highlight=False, soft_wrap=True), counted.state
+    asked = f"{state.intensity_mm_h:g} mm/h asked"
+    if f"{state.implied_mm_h:.3g}" != f"{state.intensity_mm_h:.3g}":
+        asked += f", {state.implied_mm_h:.3g} mm/h drawn"
+    if state.beyond_calibration:
+        asked += ", beyond calibration"
+    measured = f"{counted.rate_mm_h:.4g} ± {counted.standard_error_mm_h:.2g} mm/h measured"
+    where = f"{counted.area_m2:g} m² in {float(counted.seconds.sum()):g} s"
+    console.print(f"{asked}; {measured}: {counted.drops:,} drops on {where}")
+    if counted.mean_diameter_mm is None:
+        return
+    console.print(
+        f"in the air {counted.density_m3:,.0f} drops/m³ (asked {state.density_m3:,.0f}), "
+        f"mean diameter {counted.mean_diameter_mm:.3f} mm (asked {state.mean_diameter_mm:.3f})"
+    )
+    spectrum = _spectrum(counted, _ROWS_MM)
+    table = Table("diameter mm", "drops", "N(D) 1/(m³ mm)", box=None)
+    for low, high, drops, density in zip(
+        _ROWS_MM[:-1], _ROWS_MM[1:], spectrum["drops"], spectrum["drops_per_m3_mm"], strict=True
+    ):
+        table.add_row(f"{low:g} - {high:g}", f"{drops:,.0f}", f"{density:.4g}")
+    console.print(table)

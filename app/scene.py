@@ -1,0 +1,416 @@
+"""`gsrain info SCENE|CAPTURE|FILE`: what is in a scene, a capture or a disdrometer's file."""
+
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from cyclopts import Parameter
+from PIL import Image
+
+from gsrain_engine.datasets.capture import Capture, View, readable_pictures
+from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.datasets.open_capture import capture_format, hint, open_capture
+from gsrain_engine.datasets.pose_check import PoseCheck, check_poses
+from gsrain_engine.datasets.summary import CaptureSummary, contact_sheet, summarized
+from gsrain_engine.disdrometer.file_summary import open_measured
+from gsrain_engine.disdrometer.spectra import UnknownKindError
+from gsrain_engine.disdrometer.tables import TableColumns, load_columns
+from gsrain_engine.editor.edits.actors import drive_along, drive_along_own_path
+from gsrain_engine.editor.edits.level import level_from_ground, set_camera_height
+from gsrain_engine.editor.viewport.camera import scene_core
+from gsrain_engine.render.images import write_sheet
+from gsrain_engine.scene.camera_path_io import read_camera_path
+from gsrain_engine.scene.formats.registry import unknown_format
+from gsrain_engine.scene.formats.scene_files import INNER_SCENE, names_scene_folder, write_scene
+from gsrain_engine.scene.open import cached_street, open_scene, scene_folder_of
+from gsrain_engine.scene.rig import rig_camera
+from gsrain_engine.scene.scene import Actor, Layer, Scene, bounds
+from gsrain_engine.scene.transforms import with_wetness_baked
+
+from .console import Table, print, print_lines, wide_console
+from .options import (
+    AllowOutside,
+    JsonFile,
+    check_picture,
+    check_scene_folder,
+    check_scene_target,
+    check_writable,
+    hold,
+    let_names_lead_outside,
+    write_numbers,
+)
+from .progress import progress_bar
+from .scene_options import Orientation, marked, marked_text, names_scene, timed_path
+
+# § `gsrain info FILE` of a disdrometer's measurements, and the option that says which of a table's columns is what.
+
+Columns = Annotated[
+    Path | None,
+    Parameter(help="YAML file that says which column is what, for tables of disdrometers that no reader knows."),
+]
+
+
+def info(
+    scene: Annotated[
+        str, Parameter(help='Scene file or folder, a capture, or a disdrometer file; "street" is the built-in scene.')
+    ],
+    /,
+    *,
+    check: Annotated[bool, Parameter(negative="", help="Capture: read all pictures, and check the poses.")] = False,
+    overlay: Annotated[
+        Path | None, Parameter(help="Capture: draw points and boxes into some views, and write the picture here.")
+    ] = None,
+    columns: Columns = None,
+    allow_outside: AllowOutside = False,
+    json: JsonFile = None,
+) -> None:
+    """Print what a scene holds (counts, bounds, harmonics, memory) or a capture (cameras, lidar, boxes, problems).
+
+    Of a disdrometer's file: instrument, records, drops, rain, what is rejected and why, and how well its rates agree.
+    """
+    check_picture("--overlay", overlay)
+    check_writable(overlay, json)
+    let_names_lead_outside(allow_outside)
+    is_scene, inner = names_scene(scene), scene_folder_of(Path(scene) / INNER_SCENE)
+    if not is_scene and capture_format(scene) is not None:
+        numbers = capture_info(Path(scene), check, overlay)
+        if inner is not None:  # what gsrain street writes holds a scene too
+            numbers |= _scene_info(scene)
+        write_numbers(json, numbers)
+        return
+    if check or overlay is not None:
+        raise ValueError(f"{scene}: --check and --overlay are for captures, and this is none that is known")
+    if not is_scene and inner is None and Path(scene).is_dir():
+        told = "neither a scene (scene.json, or meta.json of SOG) nor a capture that is known"
+        raise ValueError(f"{scene}: {told}{hint(Path(scene))}")
+    if columns is not None or (not is_scene and Path(scene).is_file()):
+        write_numbers(json, disdrometer_info(Path(scene), columns))
+        return
+    write_numbers(json, _scene_info(scene))
+
+
+def _scene_info(scene: str) -> dict[str, Any]:
+    """Print what a scene holds; returns the printed numbers."""
+    opened = open_scene(scene)
+    rows = [_member(each) for each in opened.members]
+    numbers = {
+        "scene": opened.name,
+        "gaussians": opened.gaussian_count,
+        **marked(opened.members),
+        "memory_bytes": sum(row["memory_bytes"] for row in rows),
+        "metres_per_unit": opened.metres_per_unit,
+        "metres_per_unit_is_assumed": opened.unit_is_assumed,
+        "up": list(opened.up),
+        "rigs": {name: [camera.name for camera in cameras] for name, cameras in opened.rigs.items()},
+        "members": rows,
+        **_extent(opened),
+    }
+    _print(opened, numbers)
+    return numbers
+
+
+def _member(member: Layer | Actor) -> dict[str, Any]:
+    gaussians, marks = member.gaussians, marked([member])
+    low, high = bounds(gaussians) if len(gaussians) else (np.zeros(3), np.zeros(3))
+    return {
+        "name": member.name,
+        "kind": member.kind if isinstance(member, Layer) else member.class_name,
+        "gaussians": len(gaussians) - marks["deleted"],
+        **marks,
+        "sh_degree": gaussians.sh_degree,
+        "minimum": [round(float(v), 3) for v in low],
+        "maximum": [round(float(v), 3) for v in high],
+        "wet_colors": member.wet_sh is not None,
+        "memory_bytes": gaussians.nbytes + (member.wet_sh.nbytes if member.wet_sh is not None else 0),
+    }
+
+
+def _extent(scene: Scene) -> dict[str, Any]:
+    """Numbers of the dense core and of the shell around it, in the world (metres, z up)."""
+    core = scene_core(scene)
+    low, high = ([round(float(v), 3) for v in corner] for corner in (core.low, core.high))
+    numbers: dict[str, Any] = {"core_m": {"minimum": low, "maximum": high}, "shell": None}
+    if core.shell is not None:
+        count = sum(int(np.count_nonzero(core.shell.holds(part))) for part in scene.parts())
+        share = count / max(scene.gaussian_count, 1)
+        radius_m = round(core.shell.radius_m, 3)
+        numbers["shell"] = {"gaussians": count, "share": round(share, 4), "radius_m": radius_m}
+    return numbers
+
+
+def _print(scene: Scene, numbers: dict[str, Any]) -> None:
+    console = wide_console()
+    up = ", ".join(f"{v + 0.0:g}" for v in scene.up)  # no -0
+    marks = marked_text({kind: numbers[kind] for kind in ("deleted", "hidden")})
+    size = f"{numbers['memory_bytes'] / 2**20:.1f} MiB"
+    console.print(f"{scene.name}: {numbers['gaussians']:,} Gaussians{marks}, {size}")
+    assumed = " (assumed)" if scene.unit_is_assumed else ""
+    console.print(f"1 unit = {scene.metres_per_unit:g} m{assumed}, up = ({up})")
+    low, high = numbers["core_m"]["minimum"], numbers["core_m"]["maximum"]
+    sides = ", ".join(f"{axis} {a + 0.0:.4g} to {b + 0.0:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
+    console.print(f"most of it lies at {sides} m")
+    shell = numbers["shell"]
+    if shell is not None:
+        console.print(
+            f"far shell, such as a sky: {shell['gaussians']:,} Gaussians ({100 * shell['share']:.2g} %), "
+            f"{shell['radius_m']:.4g} m from the middle"
+        )
+    for name, cameras in numbers["rigs"].items():
+        console.print(f"rig {name}: {', '.join(cameras)}")
+    table = Table(box=None)
+    for title in ("name", "kind", "Gaussians", "SH degree", "wet", "minimum", "maximum", "MiB"):
+        table.add_column(title, no_wrap=True)
+    for row in numbers["members"]:
+        corners = [" ".join(f"{v + 0.0:g}" for v in row[key]) for key in ("minimum", "maximum")]
+        size = f"{row['memory_bytes'] / 2**20:.1f}"
+        wet = "yes" if row["wet_colors"] else "no"
+        table.add_row(row["name"], row["kind"], f"{row['gaussians']:,}", str(row["sh_degree"]), wet, *corners, size)
+    console.print(table)
+
+
+# § What `gsrain info` prints about a capture, and what it checks and draws when it is asked to.
+
+
+def capture_info(path: Path, check: bool, overlay: Path | None) -> dict[str, Any]:
+    """Print what a capture holds; `check` reads all pictures and checks poses, `overlay` is drawn into that file.
+
+    Returns the printed numbers. Raises `CaptureError`.
+    """
+    found = capture_format(path)
+    capture = open_capture(path)
+    checks: tuple[PoseCheck, ...] = ()
+    if check:
+        capture, checks = _checked(capture)
+    summary = summarized(capture)
+    kind = found.name if found is not None else ""
+    _print_capture(summary, kind, checks, check)
+    if overlay is not None:
+        write_sheet(overlay, Image.fromarray(contact_sheet(capture)))
+        print(f"{overlay}: points and boxes drawn into views")
+    numbers = {"capture": summary.name, "format": kind, **asdict(summary)}
+    return numbers | ({"checks": [asdict(each) for each in checks]} if check else {})
+
+
+def _checked(capture: Capture) -> tuple[Capture, tuple[PoseCheck, ...]]:
+    with progress_bar("Checking", 2.0) as advance:
+        done = 0.0
+
+        def show(fraction: float) -> None:
+            nonlocal done
+            advance(fraction - done)
+            done = fraction
+
+        capture = readable_pictures(capture, show)
+        checks = check_poses(capture, lambda fraction: show(1.0 + fraction))
+        show(2.0)  # also where there is nothing to check poses by
+        return capture, checks
+
+
+def _print_capture(summary: CaptureSummary, kind: str, checks: tuple[PoseCheck, ...], checked: bool) -> None:
+    console = wide_console()
+    lasts = f" over {summary.seconds:.1f} s" if summary.seconds >= 0.05 else ""
+    console.print(f"{summary.name}: {kind}, {_counted(summary.views, 'view')}{lasts}")
+    if summary.has_poses:
+        up = ", ".join(f"{round(value, 3) + 0.0:g}" for value in summary.up)
+        console.print(f"{_places(summary)}; up = ({up})")
+    if summary.points:
+        console.print(f"{_counted(summary.points, 'point')} on surfaces")
+    if summary.sweeps:
+        console.print(f"lidar: {_counted(summary.sweeps, 'sweep')}, {_counted(summary.lidar_points, 'point')}")
+    if summary.boxes:
+        things = ", ".join(f"{count} {name}" for name, count in summary.boxes.items())
+        console.print(f"boxes: {things}")
+    if summary.has:
+        console.print(f"each view has: {', '.join(summary.has)}")
+    for name, counted in summary.attributes.items():
+        values = ", ".join(f"{value} ({count})" for value, count in counted.items())
+        console.print(f"{name}: {values}")
+    console.print(_cameras(summary))
+    for each in checks:
+        console.print(f"{each.verdict}: {each.told}")
+    if checked and not checks and summary.has_poses:
+        console.print("poses: nothing to check them by (no lidar, and no neighbouring views that share enough)")
+    for problem in summary.problems:
+        console.print(f"problem: {problem}")
+
+
+def _places(summary: CaptureSummary) -> str:
+    unit = "m" if summary.is_metric else "units of unknown length"
+    sides = [high - low for low, high in zip(summary.minimum, summary.maximum, strict=True)]
+    if max(sides) < 1e-6:
+        return "the camera stood still"
+    extent = " x ".join(f"{side:.2f}" for side in sides)
+    way = f", on a way of {summary.course:.2f}" if summary.course > 0 else ""
+    return f"cameras stood within {extent} {unit}{way}"
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count:,} {noun}" + ("" if count == 1 else "s")
+
+
+def _cameras(summary: CaptureSummary) -> Table:
+    table = Table(box=None)
+    for title in ("camera", "views", "size", "focal length px", "field of view", "lens"):
+        table.add_column(title, no_wrap=True)
+    for each in summary.sensors:
+        focal = f"{each.focal_px[0]:.1f} {each.focal_px[1]:.1f}"
+        size = f"{each.width}x{each.height}"
+        if each.sizes > 1:
+            (a, b), (c, d) = each.smallest_px, each.largest_px
+            size = f"{a}x{b} to {c}x{d} ({each.sizes} sizes)"
+        fov = f"{each.horizontal_fov_deg:.1f} deg"
+        table.add_row(each.name or "-", str(each.views), size, focal, fov, each.lens.partition(" ")[0] or "straight")
+    return table
+
+
+# § `gsrain convert IN OUT`: from one scene format to another.
+
+_OWN = "own"
+"""A scene's own camera path, where a file could be named."""
+
+
+def convert(
+    source: Annotated[str, Parameter(help="Scene file or folder: .ply .compressed.ply .splat .spz .ksplat .sog.")],
+    target: Annotated[Path, Parameter(help="File to write (.ply .splat .spz), or a folder for a scene folder.")],
+    /,
+    *,
+    wetness: Annotated[
+        float | None,
+        Parameter(help="Write the colours of a wetness, 0 clear to 1 soaked; a single file is clear without it."),
+    ] = None,
+    orientation: Orientation | None = None,
+    level: Annotated[
+        bool, Parameter(help="Turn the scene until its ground, which is looked for, lies level.", negative="")
+    ] = False,
+    camera_height: Annotated[
+        float | None,
+        Parameter(help="Scale the scene until its recorded cameras were so many metres above its ground; levels it."),
+    ] = None,
+    drive: Annotated[
+        str | None,
+        Parameter(
+            help="Let an ego vehicle drive along a camera path, with a front camera: own for the scene's, or a file "
+            "(ours, nerfstudio's, cameras.json of 3DGS). gsrain drive needs one."
+        ),
+    ] = None,
+    speed: Annotated[
+        float | None,
+        Parameter(help="Speed in m/s along the path of --drive; default: its own times, or walking pace without any."),
+    ] = None,
+    json: JsonFile = None,
+) -> None:
+    """Convert a scene. A scene folder remembers which way is up and how long a unit is.
+
+    A single file gets all visible layers, and actors where they stand at time 0, in metres with -y up.
+    """
+    if wetness is not None and not 0 <= wetness <= 1:
+        raise ValueError(f"--wetness {wetness:g}: must be within 0..1")
+    check_scene_target(target)
+    check_writable(json)
+    scene = (orientation or Orientation()).of(open_scene(source))
+    hold(target)
+    if level or camera_height is not None:
+        scene = level_from_ground(scene)
+        up = ", ".join(f"{v:.4g}" for v in scene.up)
+        print(f"up = ({up}) in the scene's axes, the ground {scene.ground_m:.3g} m high")
+    if camera_height is not None:
+        scene = set_camera_height(scene, camera_height)
+        print(f"1 unit = {scene.metres_per_unit:.4g} m")
+    if speed is not None and drive is None:
+        raise ValueError(f"--speed {speed:g}: is that of --drive, which is not asked for")
+    if drive is not None:
+        scene = _driven(scene, drive, speed)
+    if wetness is not None:
+        if all(each.wet_sh is None for each in scene.members):
+            raise ValueError(f"--wetness {wetness:g}: {source} has no wet colours; gsrain recolor makes them")
+        scene = with_wetness_baked(scene, wetness)
+    write_scene(scene, target)
+    if names_scene_folder(target):
+        print(f"{target}: {scene.gaussian_count:,} Gaussians{marked_text(marked(scene.members))}")
+        write_numbers(json, {"gaussians": scene.gaussian_count, "left_out": 0})
+        return
+    left_out = [part.left_out.size if part.left_out is not None else 0 for part in scene.parts()]
+    kept = sum(len(part.gaussians) for part in scene.parts()) - sum(left_out)
+    print(f"{target}: {kept:,} Gaussians{f'; {sum(left_out):,} deleted or hidden ones are left out' * any(left_out)}")
+    write_numbers(json, {"gaussians": kept, "left_out": sum(left_out)})
+
+
+def _driven(scene: Scene, drive: str, speed: float | None) -> Scene:
+    """Let an ego vehicle drive along a path, at its own times, or as fast as is asked for or assumed."""
+    path = scene.path if drive == _OWN else read_camera_path(drive)
+    if path is None:
+        return drive_along_own_path(scene)  # says what is missing
+    timing = timed_path(path, speed, scene.metres_per_unit)
+    if timing.line is not None:
+        print(f"{drive}: {timing.line}")
+    return drive_along(scene, timing.path)
+
+
+# § `gsrain street DIR`: the built-in street as files.
+
+
+def street(
+    directory: Annotated[Path, Parameter(help="Folder to write: DIR/scene is a scene folder, DIR/images a capture.")],
+    /,
+    *,
+    rig: Annotated[str, Parameter(help="Cameras to photograph the street with: waymo_front3 or nuscenes.")] = (
+        "waymo_front3"
+    ),
+    moments: Annotated[int, Parameter(help="How many moments of the drive to photograph; 0 for none.")] = 4,
+    width: Annotated[int, Parameter(help="Width of the images in pixels.")] = 960,
+    json: JsonFile = None,
+) -> None:
+    """Write the built-in street: Gaussians, tracks, rigs, and true images with depth, normals and labels."""
+    if not 0 <= moments <= 1000:
+        raise ValueError(f"--moments {moments}: must be within 0..1000")
+    if not 16 <= width <= 4096:
+        raise ValueError(f"--width {width}: must be within 16..4096")
+    check_scene_folder(directory / "scene")
+    check_writable(json, folders=[directory, directory / "images"])
+    scene = cached_street()
+    if rig not in scene.rigs:
+        raise ValueError(f"--rig {rig}: the street has {', '.join(scene.rigs)}")
+    hold(directory)
+    write_scene(scene, directory / "scene")
+    print(f"{directory / 'scene'}: {scene.gaussian_count:,} Gaussians, rigs {', '.join(scene.rigs)}")
+    if moments:
+        with progress_bar("Photographing", moments * len(scene.rigs[rig]), draws=True) as advance:
+            for _ in write_views(directory / "images", _photographs(scene, rig, moments, width)):
+                advance()
+        print(f"{directory / 'images'}: {moments * len(scene.rigs[rig])} views with depth, normals and labels")
+    write_numbers(json, {"gaussians": scene.gaussian_count, "views": moments * len(scene.rigs[rig])})
+
+
+def _photographs(scene: Scene, rig: str, moments: int, width: int) -> Iterator[View]:
+    """Photograph the mesh with every camera of a rig, at moments spread over the drive."""
+    from gsrain_engine.datasets.street import StreetViews  # pyrender and OpenGL load only here
+    from gsrain_engine.scene.street.build import street_surfaces
+
+    assert scene.ego is not None
+    photographer = StreetViews(street_surfaces())
+    for time_s in np.linspace(scene.ego.times[0], scene.ego.times[-1], moments).tolist():
+        for mounted in scene.rigs[rig]:
+            camera = rig_camera(scene, rig, mounted.name, time_s)
+            camera = camera.resized(width, round(width * camera.height / camera.width))
+            view = photographer.view(camera, time_s, f"{mounted.name}_{time_s:07.3f}s")
+            yield replace(view, sensor=mounted.name)
+
+
+def columns_of(file: Path | None) -> TableColumns | None:
+    """Read what `--columns` names. Raises `ValueError` with the file and the field, `OSError`."""
+    return None if file is None else load_columns(file)
+
+
+def disdrometer_info(file: Path, columns: Path | None) -> dict[str, Any]:
+    """Print what a disdrometer file holds; returns the numbers. Raises `ValueError`."""
+    try:
+        measured = open_measured(file, columns_of(columns)).measured()
+    except UnknownKindError as error:
+        if error.kind is not None:
+            told = f"neither a scene, nor a capture, nor a disdrometer file; it is {error.kind}"
+            raise ValueError(f"{file}: {told}") from None
+        raise ValueError(f"{file}: {unknown_format(file)}; nor measured rain: {error.problem}") from None
+    print_lines("\n".join(measured.lines))
+    return measured.numbers()

@@ -1,0 +1,206 @@
+"""`gsrain sweep SWEEP.yaml`: many drives or renders, here, in shares, or on a cluster."""
+
+import signal
+import sys
+import time
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path, PurePath
+from typing import Annotated, Any
+
+import msgspec
+from cyclopts import Parameter
+
+from gsrain_engine.backends import Backend
+from gsrain_engine.sweep.executors import DaskCluster, Engine, HereEngine, LocalPool
+from gsrain_engine.sweep.expansion import Job, Shard, jobs_of
+from gsrain_engine.sweep.report import write_tables
+from gsrain_engine.sweep.results import SweepFolder
+from gsrain_engine.sweep.run import SweepRun, agent_codes, run_sweep
+from gsrain_engine.sweep.settings import Sweep, load_sweep, sweep_names
+from gsrain_engine.trusted_code import check_trusted
+
+from .console import Console, Table, print
+from .options import JsonFile, Trust, check_writable, hold, with_trust, write_numbers
+from .progress import followed
+
+SOME_FAILED, INTERRUPTED = 1, 130
+
+
+def sweep(
+    sweep: Annotated[str, Parameter(help=f"YAML file, or a shipped sweep: {', '.join(sweep_names())}.")],
+    /,
+    *,
+    output: Annotated[
+        Path | None,
+        Parameter(name=["--output", "-o"], help="Folder for rows and tables; default: the one that the sweep names."),
+    ] = None,
+    workers: Annotated[
+        int | None, Parameter(help="Processes on this machine; default: half of its cores. 0 works in this process.")
+    ] = None,
+    shard: Annotated[
+        str | None,
+        Parameter(help="Only the i-th of n shares, as i/n from 1: $SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT."),
+    ] = None,
+    dask: Annotated[str | None, Parameter(help="Work on this Dask cluster: address of its scheduler.")] = None,
+    dask_resources: Annotated[
+        str, Parameter(help="What a job takes of a Dask worker, as NAME=AMOUNT, several with commas: GPU=1.")
+    ] = "",
+    retry_failed: Annotated[bool, Parameter(negative="", help="Do jobs again whose rows tell of a failure.")] = False,
+    summarize_only: Annotated[
+        bool, Parameter(negative="", help="Do nothing; write tables and figures of the rows that are there.")
+    ] = False,
+    backend: Annotated[Backend | None, Parameter(help="What draws; default: as the sweep has it.")] = None,
+    trust: Trust = False,
+    json: JsonFile = None,
+) -> int:
+    """Run every combination that a sweep names. Run again, it goes on: jobs with a row are not done twice.
+
+    Any number of such commands may work on one folder: with --shard on machines that know nothing of each other. Rows
+    say nothing of time or machine; those of equal jobs are equal to the byte. Where one fails, its row has the error.
+
+    Agents in Python files run only with --trust, or once you have said yes to their content in a terminal.
+    """
+    started = time.perf_counter()
+    told = load_sweep(sweep)
+    told = told if backend is None else msgspec.structs.replace(told, backend=backend)
+    folder = SweepFolder(_folder(sweep, told, output))
+    _check_engine(workers, dask, dask_resources)
+    check_writable(folder.path / "table.csv", folder.path / "report.html", json, folders=[folder.path])
+    jobs = jobs_of(told)
+    share = jobs if shard is None else Shard.parse(shard).of(jobs)
+    to_do = [] if summarize_only else folder.to_do(share, retry_failed=retry_failed)
+    run = SweepRun(0, 0)
+    hold(folder.path, shared=True)
+    if not summarize_only:
+        with_trust(lambda: check_trusted(sweep, agent_codes(to_do)), trust)
+        folder.describe(told, jobs)
+        print(f"{folder.path}: {_count(len(share), 'job')}, {len(share) - len(to_do)} with a row", file=sys.stderr)
+        try:
+            run = _run(to_do, folder, workers, dask, dask_resources)
+        except KeyboardInterrupt:
+            left = _count(len(folder.to_do(share)), "job")
+            print(f"stopped with {left} to do; the same command goes on from there", file=sys.stderr)
+            return INTERRUPTED
+    numbers: dict[str, Any] = {"done": run.done, "kept": len(share) - len(to_do)}
+    failed = run.failed
+    if shard is not None and folder.to_do(jobs):
+        print(f"share {shard} is done; when all are: gsrain sweep {sweep} --summarize-only")
+    else:
+        numbers |= write_tables(folder, told, jobs)
+        failed = numbers["failed"]
+        _print(folder, numbers)
+    write_numbers(json, numbers | {"seconds": time.perf_counter() - started})
+    return SOME_FAILED if failed else 0
+
+
+def _run(jobs: list[Job], folder: SweepFolder, workers: int | None, dask: str | None, dask_resources: str) -> SweepRun:
+    with ExitStack() as stack:
+        engine = _engine(workers, dask, dask_resources, stack)
+        stack.enter_context(_ended_gently())
+        return followed(stack.enter_context(closing(run_sweep(jobs, engine, folder))))
+
+
+def _folder(name: str, sweep: Sweep, output: Path | None) -> Path:
+    if output is None and sweep.output is None:
+        raise ValueError(f"sweep {name}: expected --output DIR, for it has no `output` of its own")
+    return output or Path(str(sweep.output))
+
+
+def _check_engine(workers: int | None, dask: str | None, resources: str) -> None:
+    """Raise ValueError for what contradicts itself, before anything is written."""
+    if dask is None and resources:
+        raise ValueError(f"--dask-resources {resources}: expected --dask ADDRESS with it")
+    if dask is not None and workers is not None:
+        raise ValueError("--workers and --dask exclude each other: a cluster has as many as it has")
+    if workers is not None and not 0 <= workers <= 4096:
+        raise ValueError(f"--workers {workers}: must be within 0..4096")
+    _resources(resources)
+
+
+def _engine(workers: int | None, dask: str | None, resources: str, stack: ExitStack) -> Engine:
+    """Choose where to work."""
+    if dask is None:
+        return HereEngine() if workers == 0 else LocalPool(workers)
+    cluster = DaskCluster(dask, _resources(resources))
+    stack.callback(cluster.close)
+    if cluster.workers == 0:
+        print(f"{dask} has no workers yet: waiting for some", file=sys.stderr)
+    return cluster
+
+
+def _resources(text: str) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for word in filter(None, (each.strip() for each in text.split(","))):
+        name, _, amount = word.partition("=")
+        try:
+            found[name] = float(amount)
+        except ValueError:
+            raise ValueError(f"--dask-resources {text}: expected NAME=AMOUNT, such as GPU=1") from None
+    return found
+
+
+@contextmanager
+def _ended_gently() -> Generator[None]:
+    """Take what a batch system sends at the end of its time as Ctrl-C."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _print(folder: SweepFolder, numbers: dict[str, Any]) -> None:
+    if numbers["cells"]:
+        print_cells(numbers["cells"])
+    done = numbers["rows"] - numbers["failed"]
+    print(f"{folder.path}: {done} of {_count(numbers['jobs'], 'job')} finished, {numbers['failed']} failed")
+    for error, count in numbers["errors"].items():
+        print(f"  {count} x {error}")
+    print("wrote table.parquet, table.csv, summary.json, report.html" + (", figures" if numbers["cells"] else ""))
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
+
+
+# § What `gsrain sweep` shows of the drives that it made: a row an agent and intensity.
+
+_COLUMNS = 160
+
+_SHOWN = {"min_ttc_s": "min TTC (s)", "planned_point_collision_rate": "C (points)", "comfort_executed": "S (driven)"}
+
+
+def print_cells(cells: Sequence[Mapping[str, Any]]) -> None:
+    """Print the cells of a summary with their intervals."""
+    several = len({cell["scene"] for cell in cells}) > 1
+    table = Table(box=None, pad_edge=False)
+    for title in [*(["scene"] if several else []), "scenario", "agent"]:
+        table.add_column(title, no_wrap=True)
+    for title in ("R (mm/h)", "drives", "collisions", *_SHOWN.values()):
+        table.add_column(title, justify="right", no_wrap=True)
+    for cell in cells:
+        collisions = cell["collision_rate"]
+        table.add_row(
+            *([PurePath(cell["scene"]).name] if several else []),
+            cell["scenario"],
+            cell["agent"],
+            f"{cell['intensity_mm_h']:g}",
+            f"{cell['runs']}" + (f" + {cell['failed']} failed" if cell["failed"] else ""),
+            "-" if collisions is None else f"{cell['collisions']} ({_share(collisions)})",
+            *(_mean(cell["means"].get(name)) for name in _SHOWN),
+        )
+    console = Console(width=_COLUMNS, highlight=False)
+    console.print(table)
+    console.print("In brackets: intervals of 95 %, over the seeds.", style="dim")
+
+
+def _share(spread: Mapping[str, float]) -> str:
+    return f"{100 * spread['low']:.0f} to {100 * spread['high']:.0f} %"
+
+
+def _mean(spread: Mapping[str, float] | None) -> str:
+    if spread is None:
+        return "-"
+    mean, low, high = (f"{spread[name]:.3g}" for name in ("mean", "low", "high"))
+    return mean if low == high else f"{mean} ({low} to {high})"

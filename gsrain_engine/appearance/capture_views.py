@@ -1,0 +1,221 @@
+"""Clear views of a capture: its pictures without distortion, with what can be found out about each pixel."""
+
+from functools import cached_property
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, UInt8
+
+from ..datasets.capture import EGO_HEIGHT_M, Capture, Sweep, View
+from ..datasets.completed_depth import completed_depth
+from ..datasets.depth_maps import measured_depths, road_depth, road_drop, static_sweeps
+from ..datasets.geometry import lidar_depth
+from ..datasets.sky_masks import sure_sky
+from ..datasets.undistort import prepared
+from ..scene.scene import rotation_to_z_up
+from .base import ClearView
+from .guess_geometry import guided, vehicle_pixels
+from .normals import normals_from_depth
+from .scene_views import KeptViews
+
+
+class CaptureViews(KeptViews):
+    """Views of a capture in the world (metres, z up), each worked out when it is asked for; the last few are kept."""
+
+    def __init__(self, capture: Capture, width_px: int) -> None:
+        """Take a capture; nothing is read before it is asked for. Wider pictures are made smaller."""
+        super().__init__(len(capture), self._view)
+        self._capture = capture
+        self._straight = [prepared(view, min(width_px, view.camera.width)) for view in capture]
+        self._surfaces = CaptureSurfaces(capture)
+        self._has_poses = capture.has_poses and not _stand_at_one_place(capture)
+
+    @property
+    def to_world(self) -> Float64[np.ndarray, "4 4"]:
+        """Similarity from the capture's unit and axes to the world."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self._surfaces.metres_per_unit * rotation_to_z_up(self._capture.up)
+        return matrix
+
+    def mask(self, name: str) -> Bool[np.ndarray, "h w"] | None:
+        """Which pixels of a view the lens saw and may be learned from; None means all."""
+        return next(view.mask for view in self._straight if view.name == name)
+
+    def _view(self, index: int) -> ClearView:
+        view, to_world = self._straight[index], self.to_world
+        scale = np.float32(self._surfaces.metres_per_unit)
+        sky = self._surfaces.sky(view)
+        depth = self._surfaces.depth(view, sky > 0.5)
+        known = self._surfaces.known_share(view, sky > 0.5) if depth.any() else 0.0
+        camera = view.camera.moved(to_world)
+        own = view.normals
+        turned = None if own is None else (own @ (to_world[:3, :3] / scale).T).astype(np.float32)
+        depth_m = (scale * depth).astype(np.float32)
+        return ClearView(
+            view.name,
+            camera,
+            view.time_s,
+            view.image.astype(np.float32) / np.float32(255),
+            depth_m,
+            normals_from_depth(depth_m, camera) if turned is None else turned,
+            sky,
+            vehicle_pixels(view, self._capture.boxes, depth).astype(np.float32),
+            view.sensor,
+            has_pose=self._has_poses,
+            known_share=known,
+        )
+
+
+def _stand_at_one_place(capture: Capture) -> bool:
+    """Whether poses are the same number time and again, and nothing measured speaks for a camera at rest."""
+    is_measured = (
+        capture.sweeps or capture.points_m is not None or any(view.depth_source is not None for view in capture)
+    )
+    first = capture[0].camera.world_to_camera
+    return len(capture) > 1 and not is_measured and all(
+        np.allclose(view.camera.world_to_camera, first, rtol=0, atol=1e-9) for view in capture
+    )  # fmt: skip
+
+
+def capture_views(capture: Capture, width_px: int) -> CaptureViews:
+    """Views of a capture, with pictures at most so wide.
+
+    Depth comes from the capture's own, or from its lidar or its points, made dense; the sky from its masks, or from
+    colours and what was measured; vehicles from labels or boxes. What is not known is 0.
+    """
+    return CaptureViews(capture, width_px)
+
+
+# § Surfaces and sky of a capture's views: from its depth, its lidar, or its points.
+
+_FEATHER, _SKY_SPREAD = 0.02, 0.03
+"""Radius, over the picture's width, in which the sky's edge is looked for, and how even its colour is there."""
+
+_TWIGS, _TWIG_NOISE, _TWIG_DARKNESS = 0.012, 0.04, 0.6
+"""Half width of what is thin, over the picture's; by how much it is darker at least, and by what part of the light
+around it when nothing of the sky shows through."""
+
+_GUESS, _GUESS_SPREAD = 0.04, 0.1
+"""The same for depth that was not measured near by."""
+
+_BEAMS, _AT_BEAM = 0.012, 0.006
+"""So near a measured pixel, over the width, depth is interpolated, and farther away guessed; so near it is no sky."""
+
+
+class CaptureSurfaces:
+    """Tells depth and sky of views of one capture, view by view."""
+
+    def __init__(self, capture: Capture) -> None:
+        """Take a capture, whose lidar and points are read when they are needed."""
+        self._capture = capture
+        self._last: tuple[View, Float32[np.ndarray, "_ _"]] | None = None
+
+    @property
+    def metres_per_unit(self) -> float:
+        """Length of the capture's unit; where nobody knows it, what puts its cameras at the height of a car's."""
+        if self._capture.is_metric or self._drop is None:
+            return 1.0
+        return EGO_HEIGHT_M / self._drop
+
+    def sky(self, view: View) -> Float32[np.ndarray, "h w"]:
+        """Share of sky in each pixel of a view without distortion: as the capture says, else what is surely sky.
+
+        The edge of what `sure_sky` finds follows leaves and wires: it is feathered along the picture's own edges. Where
+        a lidar measured something no sky is.
+        """
+        own = view.sky
+        if own is not None:
+            return own.astype(np.float32)
+        sure = sure_sky(view.image).pixels
+        if self._capture.sweeps:
+            sure = sure & ~_near(self._measured(view), _AT_BEAM)
+        return _feathered(sure, view.image)
+
+    def known_share(self, view: View, sky: Bool[np.ndarray, "h w"]) -> float:
+        """Part of a view below its sky that was measured, or lies next to what was: other depth is a guess."""
+        if view.depth_source is not None:
+            return 1.0
+        return float(_near(self._measured(view), _BEAMS)[~sky].mean()) if not sky.all() else 0.0
+
+    def depth(self, view: View, sky: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+        """Depth along the view axis in the capture's unit; 0 in the sky, and in views of which nothing was measured.
+
+        Lidar and points are made dense, see `completed_depth`; what is guessed far from them follows the picture's
+        edges. A picture alone does not say what is road and what is a car upon it.
+        """
+        own = view.depth
+        if own is not None:
+            return np.where(sky, np.float32(0), own)
+        measured = self._measured(view)
+        if not measured.any():
+            return measured
+        road = None if self._drop is None else road_depth(view.camera, self._drop, self._capture.up)
+        return _along_edges(completed_depth(measured, sky, road), measured, view.image)
+
+    def _measured(self, view: View) -> Float32[np.ndarray, "h w"]:
+        """Sparse depth: of the static scene at any time, and of what moves at the view's own; the last one stays."""
+        if self._last is None or self._last[0] is not view:
+            self._last = (view, self._newly_measured(view))
+        return self._last[1]
+
+    def _newly_measured(self, view: View) -> Float32[np.ndarray, "h w"]:
+        static = measured_depths(self._capture, [view], self._static)[0]
+        if not self._capture.sweeps or view.depth_source is not None:
+            return static
+        now = lidar_depth(view, [min(self._capture.sweeps, key=lambda sweep: abs(sweep.time_s - view.time_s))])
+        nearer = (now > 0) & ((static == 0) | (now < static))
+        return np.where(nearer, now, static)
+
+    @cached_property
+    def _static(self) -> tuple[Sweep, ...]:
+        return static_sweeps(self._capture)
+
+    @cached_property
+    def _drop(self) -> float | None:
+        """How far the road lies under the cameras, where only triangulated points are known."""
+        points = self._capture.points_m
+        if self._capture.sweeps or points is None or not len(points):
+            return None
+        return road_drop(points, self._capture.views, self._capture.up)
+
+
+def _near(depth: Float32[np.ndarray, "h w"], share: float) -> Bool[np.ndarray, "h w"]:
+    """Pixels no farther from a measured one than a share of the picture's width: beams are several pixels apart."""
+    reach = 2 * max(round(share * depth.shape[1]), 1) + 1
+    return cv2.dilate((depth > 0).astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0
+
+
+def _feathered(sky: Bool[np.ndarray, "h w"], image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
+    """Share of sky: as flagged, but near the flags' edge as the picture's colours have it."""
+    radius = max(round(_FEATHER * sky.shape[1]), 2)
+    window = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+    flags = sky.astype(np.uint8)
+    edge = cv2.dilate(flags, window) > cv2.erode(flags, window)
+    guide = image.astype(np.float32) / np.float32(255)
+    share = guided(sky.astype(np.float32), guide, np.ones_like(sky), radius, _SKY_SPREAD)
+    # The fit is a little flat: its middle part is stretched to the whole range.
+    return (np.where(edge, np.clip((share - 0.1) / 0.8, 0, 1), sky) * _between_twigs(guide)).astype(np.float32)
+
+
+def _between_twigs(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
+    """Share of light that passes what is thin and darker than all around it; 1 elsewhere, in clouds too."""
+    light = image.mean(axis=2)
+    size = 2 * max(round(_TWIGS * image.shape[1]), 1) + 1
+    open_light = cv2.morphologyEx(light, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+    darker = np.clip(open_light - light - _TWIG_NOISE, 0, 1) / np.maximum(_TWIG_DARKNESS * open_light, 1e-3)
+    return np.clip(1 - darker, 0, 1).astype(np.float32)
+
+
+def _along_edges(
+    depth: Float32[np.ndarray, "h w"], measured: Float32[np.ndarray, "h w"], image: UInt8[np.ndarray, "h w 3"]
+) -> Float32[np.ndarray, "h w"]:
+    """Let depth far from all that was measured follow the picture's edges; 0 stays 0."""
+    radius = max(round(_GUESS * depth.shape[1]), 2)
+    guessed = ~_near(measured, _BEAMS) & (depth > 0)
+    if not guessed.any():
+        return depth
+    inverse = np.where(depth > 0, 1 / np.where(depth > 0, depth, 1), 0).astype(np.float32)
+    guide = image.astype(np.float32) / np.float32(255)
+    smooth = guided(inverse, guide, depth > 0, radius, _GUESS_SPREAD)
+    bounded = np.clip(smooth, inverse[depth > 0].min(), inverse.max())
+    return np.where(guessed, 1 / np.where(guessed, bounded, 1), depth).astype(np.float32)

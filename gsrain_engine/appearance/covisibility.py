@@ -1,0 +1,159 @@
+"""Which views show the same places as which, by a few points of each: cheap, and the same every time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from ..scene.camera import Camera
+from .base import ClearView
+
+_GRID = (24, 16)
+"""Points across and down a picture that are looked for in the others."""
+
+_LOOKUP_PX = 96
+"""Width of the depth in which they are looked up."""
+
+_AGREES = 0.1
+"""Share of the distance by which a point and the coarse depth around it may differ."""
+
+_LEAST_SHARE, _LEAST_SURFACES = 0.05, 0.02
+"""Views that share less than this of the picture, or of it below the sky, are no neighbours: all skies are alike. The
+cameras of rigs share 0.06 to 0.2."""
+
+_SAME_PLACE, _LEAST_ALIKE = 1e-6, 0.6
+"""Difference of poses up to which a camera did not move, and correlation of edges from which two pictures then show the
+same place: those of a camera at rest in rain have 0.9, of one drive a second later 0.5, of unrelated streets 0.1."""
+
+_EDGES_PX = (48, 32)
+
+_MEASURED_SHARE = 0.25
+
+_FAR_M = 1e4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sketch:
+    """What is kept of a view while the others are looked at."""
+
+    camera: Camera
+    sensor: str
+    time_s: float
+    points: Float64[np.ndarray, "n 3"]
+    """In the world; the sky very far away."""
+    distances: Float64[np.ndarray, " n"]
+    """Of the points, along the view axis."""
+    tried: int
+    """Places in the picture that were looked at; not all have depth."""
+    depth: Float32[np.ndarray, "h w"]
+    """In small; the sky very far away, 0 where it is not known."""
+    edges: Float32[np.ndarray, " k"]
+    """Edges of the picture in small, of mean 0 and length 1."""
+    has_pose: bool
+
+
+def neighbours(views: Sequence[ClearView], count: int) -> list[tuple[int, ...]]:
+    """Return for each view the others, at most `count`, that show most of its picture, the best first.
+
+    Views whose pose is not known have none, and views that share little but the sky are none. Neighbours in time
+    usually win. So that the cameras of a rig learn of each other, the last place goes to the best
+    view of another camera where none is among two or more. Each view is asked for once, in order; views without depth
+    have no neighbours. Among equals the nearer in time, then the earlier wins.
+    """
+    sketches = [_sketched(view) for view in views]
+    chosen: list[tuple[int, ...]] = []
+    for i, sketch in enumerate(sketches):
+        shares = [_share(sketch, other) if i != j else 0.0 for j, other in enumerate(sketches)]
+        ranked = sorted(
+            (j for j, share in enumerate(shares) if share > 0),
+            key=lambda j: (-round(shares[j], 3), abs(sketches[j].time_s - sketch.time_s), j),
+        )
+        best = ranked[:count]
+        across = [j for j in ranked if sketches[j].sensor != sketch.sensor]
+        if count >= 2 and across and not set(across) & set(best):
+            best = [*best[: count - 1], across[0]]
+        chosen.append(tuple(best))
+    return chosen
+
+
+def _sketched(view: ClearView) -> _Sketch:
+    camera = view.camera
+    depth = _far_sky(view)
+    v, u = _places_tried(depth)
+    z = depth[v, u].astype(np.float64)
+    local = np.stack([(u + 0.5 - camera.cx) / camera.fx * z, (v + 0.5 - camera.cy) / camera.fy * z, z], axis=1)
+    points = (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
+    every = max(camera.width // _LOOKUP_PX, 1)
+    small = np.ascontiguousarray(depth[every // 2 :: every, every // 2 :: every])
+    edges = _edges(view.image)
+    return _Sketch(camera, view.sensor, view.time_s, points[z > 0], z[z > 0], len(z), small, edges, view.has_pose)
+
+
+def _edges(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " k"]:
+    """Edges of a picture in small, of mean 0 and length 1; all 0 where it has none."""
+    small = cv2.resize(image.mean(axis=2), _EDGES_PX, interpolation=cv2.INTER_AREA)
+    edges = np.asarray(cv2.Laplacian(small, cv2.CV_32F)).ravel()
+    edges = edges - edges.mean()
+    return (edges / max(float(np.linalg.norm(edges)), 1e-6)).astype(np.float32)
+
+
+def _places_tried(depth: Float32[np.ndarray, "h w"]) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
+    """Rows and columns of a grid over the picture; where a lidar has measured little of it, of what was measured."""
+    rows, columns = (
+        ((np.arange(n) + 0.5) * size / n).astype(np.int64) for n, size in zip(_GRID[::-1], depth.shape, strict=True)
+    )
+    v, u = (each.ravel() for each in np.meshgrid(rows, columns, indexing="ij"))
+    if np.count_nonzero(depth[v, u]) >= _MEASURED_SHARE * len(v):
+        return v, u
+    measured = np.flatnonzero(depth)
+    evenly = measured[np.linspace(0, len(measured) - 1, min(len(v), len(measured))).astype(np.int64)]
+    return evenly // depth.shape[1], evenly % depth.shape[1]
+
+
+def _far_sky(view: ClearView) -> Float32[np.ndarray, "h w"]:
+    known = np.isfinite(view.depth) & (view.depth > 0)
+    return np.where(view.sky > 0.5, _FAR_M, np.where(known, view.depth, 0)).astype(np.float32)
+
+
+def _share(of: _Sketch, to: _Sketch) -> float:
+    """Share of a view's picture that another one shows too; 0 where it can't be known, or is next to nothing."""
+    if not (of.has_pose and to.has_pose and of.depth.any() and to.depth.any()):
+        return 0.0
+    moved = np.abs(of.camera.world_to_camera - to.camera.world_to_camera).max()
+    if moved <= _SAME_PLACE and float(of.edges @ to.edges) < _LEAST_ALIKE:
+        return 0.0  # the pose of both is a stand-in for one that nobody knows
+    share, surfaces = _share_seen(of, to)
+    return share if share >= _LEAST_SHARE and surfaces >= _LEAST_SURFACES else 0.0
+
+
+def _share_seen(of: _Sketch, to: _Sketch) -> tuple[float, float]:
+    """Share of a view's picture that another one shows too, and that without the sky.
+
+    What the other shows larger or smaller counts by that ratio.
+    """
+    camera = to.camera
+    x, y, z = camera.world_to_camera[:3, :3] @ of.points.T + camera.world_to_camera[:3, 3:]
+    ahead = z > 1e-6
+    divisor = np.where(ahead, z, 1.0)
+    u = (camera.fx * x / divisor + camera.cx) / camera.width
+    v = (camera.fy * y / divisor + camera.cy) / camera.height
+    inside = ahead & (u >= 0) & (u < 1) & (v >= 0) & (v < 1)
+    seen = _is_seen(to.depth, u[inside], v[inside], z[inside])
+    larger = (camera.fx / z[inside][seen]) / (of.camera.fx / of.distances[inside][seen])
+    each = np.minimum(larger, 1 / larger) / max(of.tried, 1)
+    return float(each.sum()), float(each[of.distances[inside][seen] <= 0.5 * _FAR_M].sum())
+
+
+def _is_seen(
+    depth: Float32[np.ndarray, "h w"],
+    u: Float64[np.ndarray, " n"],
+    v: Float64[np.ndarray, " n"],
+    z: Float64[np.ndarray, " n"],
+) -> Bool[np.ndarray, " n"]:
+    """Whether the coarse depth at places (shares of the picture) is what it should be; unknown depth hides nothing."""
+    found = depth[(v * depth.shape[0]).astype(int), (u * depth.shape[1]).astype(int)]
+    is_sky = z > 0.5 * _FAR_M
+    agrees = np.where(is_sky, found > 0.5 * _FAR_M, np.abs(found - z) <= _AGREES * z)
+    return agrees | (found == 0)

@@ -1,0 +1,441 @@
+"""What views say to each other while they go through a network: installed into it, and taken out again."""
+
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from importlib import import_module
+from itertools import chain
+from typing import Any, Protocol, overload, runtime_checkable
+
+from jaxtyping import Bool, Float32
+from numpy import ndarray
+
+from ..base import ClearView
+from ..correspondence import Correspondence
+from ..covisibility import neighbours
+from .settings import MutualAttention, Window
+
+torch: Any = import_module("torch")
+
+Tensor = Any
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Element:
+    """One entry of a batch: a view, or a tile of one."""
+
+    view: int
+    window: Window
+    sources: tuple[tuple[int, Correspondence], ...] = ()
+    """Views that it looks at, each with the places of this view's pixels in it."""
+    is_source: bool = False
+    """Whether any view looks at this one."""
+
+
+class Exchange:
+    """Knows what is in the batch, keeps features of views, and hands each layer what its queries may also look at."""
+
+    def __init__(self, settings: MutualAttention) -> None:
+        self.settings = settings
+        self.maps = FeatureMaps()
+        self._elements: tuple[Element, ...] = ()
+        self._latent: tuple[int, int] = (0, 0)
+        self._grids: dict[tuple[int, int, int, int], tuple[Float32[ndarray, "_ _ 2"], Bool[ndarray, "_ _"]]] = {}
+
+    @contextmanager
+    def batch(self, elements: Sequence[Element]) -> Generator[None]:
+        """Tell what the next pass through the network is made of; outside of it attention is the plain one."""
+        self._elements = tuple(elements)
+        try:
+            yield
+        finally:
+            self._elements = ()
+            self._grids.clear()
+
+    def before_network(self, unet: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
+        """Take note of the size of what goes into the network: its hook before each pass."""
+        latent = args[0] if args else kwargs["sample"]
+        self._latent = (int(latent.shape[2]), int(latent.shape[3]))
+
+    def looked_at(self, layer: str, features: Tensor) -> list[Tensor | None]:
+        """Return for each entry of a batch (b, tokens, channels) the warped features of its neighbours, or None.
+
+        Keeps the features first, so that views of one batch see each other. Raises ValueError where the batch is not
+        what was announced.
+        """
+        if not self._elements:
+            return [None] * len(features)
+        if len(features) != len(self._elements):
+            raise ValueError(f"{len(self._elements)} views were announced, the network was given {len(features)}")
+        size = self._tokens(features.shape[1])
+        if size is None:
+            return [None] * len(features)
+        windows = [element.window.in_tokens(*size) for element in self._elements]
+        for element, window, own in zip(self._elements, windows, features, strict=True):
+            if element.is_source:
+                self.maps.put(element.view, layer, own, window)
+        return [self._sources(layer, each, window) for each, window in zip(self._elements, windows, strict=True)]
+
+    def _sources(self, layer: str, element: Element, window: Window) -> Tensor | None:
+        found: list[Tensor] = []
+        for source, correspondence in element.sources:
+            grid, valid = self._grid(element.view, source, correspondence, window)
+            if valid.any() and (features := self.maps.warped(source, layer, grid, valid)) is not None:
+                found.append(features)
+        return torch.cat(found) if found else None
+
+    def _grid(
+        self, view: int, source: int, correspondence: Correspondence, window: Window
+    ) -> tuple[Float32[ndarray, "h w 2"], Bool[ndarray, "h w"]]:
+        key = (view, source, *window.frame)
+        if key not in self._grids:
+            self._grids[key] = correspondence.at(*window.frame)
+        grid, valid = self._grids[key]
+        rows, columns = slice(window.top, window.top + window.height), slice(window.left, window.left + window.width)
+        return grid[rows, columns], valid[rows, columns]
+
+    def _tokens(self, count: int) -> tuple[int, int] | None:
+        """Rows and columns of a layer's tokens; None where views don't talk at this resolution."""
+        height, width = self._latent
+        px_per_token = self._elements[0].window.height / height
+        while height * width > count:
+            # The network halves with a stride of 2 and a border of 1: odd sides round up.
+            height, width, px_per_token = -(-height // 2), -(-width // 2), 2 * px_per_token
+        if height * width != count:
+            raise ValueError(f"{count} tokens are no halving of a latent of {self._latent[0]} x {self._latent[1]}")
+        return (height, width) if round(px_per_token) in self.settings.px_per_token else None
+
+
+@contextmanager
+def exchanging(unet: Any, settings: MutualAttention) -> Generator[Exchange]:
+    """Let the self-attention (attn1) of a diffusers UNet look at other views, and put its own processors back after.
+
+    Raises ValueError where no layer has one of the names.
+    """
+    exchange = Exchange(settings)
+    before = dict(unet.attn_processors)
+    layers = {name: name.removesuffix(".processor") for name in before}
+    chosen = {
+        name: MutualSelfAttention(layer, exchange, settings.most_scores)
+        for name, layer in layers.items()
+        if layer.endswith("attn1") and any(fnmatchcase(layer, pattern) for pattern in settings.layers)
+    }
+    if not chosen:
+        raise ValueError(f"no self-attention layer is named like {', '.join(settings.layers)}")
+    unet.set_attn_processor({**before, **chosen})
+    hook = unet.register_forward_pre_hook(exchange.before_network, with_kwargs=True)
+    try:
+        yield exchange
+    finally:
+        hook.remove()
+        unet.set_attn_processor(before)
+
+
+# § Features of views that are already in the network or through it, kept for those that look at them.
+
+
+class FeatureMaps:
+    """Maps (channels, height, width) over whole pictures, by view and layer; tiles are put together, averaged."""
+
+    def __init__(self) -> None:
+        self._sums: dict[tuple[int, str], Tensor] = {}
+        self._weights: dict[tuple[int, str], Tensor] = {}
+
+    def put(self, view: int, layer: str, features: Tensor, window: Window) -> None:
+        """Keep (tokens, channels) of a window, which is in tokens."""
+        part = features.detach().T.reshape(-1, window.height, window.width)
+        key = (view, layer)
+        if window.is_whole:
+            self._sums[key] = part
+            return
+        if key not in self._sums:
+            self._sums[key] = part.new_zeros((part.shape[0], *window.frame))
+            self._weights[key] = part.new_zeros(window.frame)
+        rows, columns = slice(window.top, window.top + window.height), slice(window.left, window.left + window.width)
+        self._sums[key][:, rows, columns] += part
+        self._weights[key][rows, columns] += 1
+
+    def warped(
+        self, view: int, layer: str, grid: Float32[ndarray, "h w 2"], valid: Bool[ndarray, "h w"]
+    ) -> Tensor | None:
+        """Return (valid tokens, channels) of a view's map at places as `grid_sample` takes them; None without map."""
+        features = self._sums.get((view, layer))
+        if features is None:
+            return None
+        if (weights := self._weights.get((view, layer))) is not None:
+            features = features / weights.clamp_min(1)
+        places = torch.from_numpy(grid[valid])[None, None].to(features.device)
+        # float32 also for half-precision networks: a place in a map needs more than 11 bits.
+        found = torch.nn.functional.grid_sample(
+            features[None].float(), places, mode="bilinear", padding_mode="border", align_corners=False
+        )
+        return found[0, :, 0].T.to(features.dtype)
+
+    def forget(self, views: set[int]) -> None:
+        """Let the maps of these views go."""
+        for maps in (self._sums, self._weights):
+            for key in [key for key in maps if key[0] in views]:
+                del maps[key]
+
+    @property
+    def nbytes(self) -> int:
+        return sum(m.numel() * m.element_size() for maps in (self._sums, self._weights) for m in maps.values())
+
+
+# § In which order views go through the network, and whom each one looks at.
+
+_SPARE = 2
+
+_LONGEST_MOMENT_S = 0.1
+"""A lap of nuScenes' lidar, whose beam releases the cameras."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """Views that go through the network at once, and for each the views that it looks at, best first."""
+
+    views: tuple[int, ...]
+    sources: tuple[tuple[int, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """All steps. A step looks at its own views and at those of earlier steps."""
+
+    steps: tuple[Step, ...]
+
+    def last_use(self) -> dict[int, int]:
+        """Return for each view that is looked at the last step which does so; its features can go after it."""
+        return {
+            source: number for number, step in enumerate(self.steps) for source in chain.from_iterable(step.sources)
+        }
+
+
+def separate_plan(count: int) -> Plan:
+    """Return one step a view; nobody looks at anybody."""
+    return Plan(tuple(Step((view,), ((),)) for view in range(count)))
+
+
+def outward_plan(ranked: Sequence[Sequence[int]], neighbours: int) -> Plan:
+    """Begin at the view that most others name, then take the best connected; each looks at views already done.
+
+    `ranked` has for each view the others that see what it sees, best first. What has no connection to anything done
+    gets an anchor of its own. Ties go to the lower index: the same lists give the same plan.
+    """
+    steps: list[Step] = []
+    done: set[int] = set()
+    for view in _outward_order(ranked):
+        sources = tuple(other for other in _connected(ranked, view) if other in done)[:neighbours]
+        steps.append(Step((view,), (sources,)))
+        done.add(view)
+    return Plan(tuple(steps))
+
+
+def together_plan(ranked: Sequence[Sequence[int]], neighbours: int, group: int, sizes: Sequence[object]) -> Plan:
+    """Cut the outward order into groups of views of one size; each looks at its own group and at earlier ones."""
+    groups: list[list[int]] = []
+    for view in _outward_order(ranked):
+        if not groups or len(groups[-1]) == group or sizes[groups[-1][0]] != sizes[view]:
+            groups.append([])
+        groups[-1].append(view)
+    steps: list[Step] = []
+    done: set[int] = set()
+    for views in groups:
+        done.update(views)
+        sources = (tuple(o for o in _connected(ranked, view) if o in done)[:neighbours] for view in views)
+        steps.append(Step(tuple(views), tuple(sources)))
+    return Plan(tuple(steps))
+
+
+def planned(views: Sequence[ClearView], settings: MutualAttention | None) -> Plan:
+    """Return the plan for views whose overlap is found by their depth; None or no neighbours: each for itself."""
+    if settings is None or not settings.neighbours or len(views) < 2:
+        return separate_plan(len(views))
+    ranked = _ranked(views, settings)
+    if settings.order == "outward":
+        return outward_plan(ranked, settings.neighbours)
+    sizes = [(view.camera.width, view.camera.height) for view in views]
+    return together_plan(ranked, settings.neighbours, settings.group, sizes)
+
+
+def _ranked(views: Sequence[ClearView], settings: MutualAttention) -> list[tuple[int, ...]]:
+    """Neighbours of each view, best first; more than it may look at, since not all of them come before it."""
+    count = settings.neighbours + _SPARE
+    if settings.among == "all":
+        return neighbours(views, count)
+    taken = [(view.time_s, view.sensor) for view in views]
+    sets = _moments(taken) if settings.among == "cameras" else _cameras(taken)
+    ranked: list[tuple[int, ...]] = [()] * len(views)
+    for members in sets:
+        for index, others in zip(members, neighbours(_Chosen(views, members), count), strict=True):
+            ranked[index] = tuple(members[other] for other in others)
+    return ranked
+
+
+def _cameras(taken: Sequence[tuple[float, str]]) -> list[list[int]]:
+    sets: dict[str, list[int]] = {}
+    for index, (_, sensor) in enumerate(taken):
+        sets.setdefault(sensor, []).append(index)
+    return list(sets.values())
+
+
+def _moments(taken: Sequence[tuple[float, str]]) -> list[list[int]]:
+    """Views of one moment each. Rigs release their cameras one after the other, but none twice in a moment."""
+    sets: list[list[int]] = []
+    for index in sorted(range(len(taken)), key=lambda i: (taken[i][0], i)):
+        time_s, sensor = taken[index]
+        start_s = taken[sets[-1][0]][0] if sets else time_s
+        is_later = time_s > start_s and any(taken[other][1] == sensor for other in sets[-1])
+        if not sets or is_later or time_s > start_s + _LONGEST_MOMENT_S:
+            sets.append([])
+        sets[-1].append(index)
+    return sets
+
+
+class _Chosen(Sequence[ClearView]):
+    """Some of the views, still each one worked out only when it is asked for."""
+
+    def __init__(self, views: Sequence[ClearView], indices: Sequence[int]) -> None:
+        self._views, self._indices = views, indices
+
+    @overload
+    def __getitem__(self, index: int) -> ClearView: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[ClearView]: ...
+    def __getitem__(self, index: int | slice) -> ClearView | Sequence[ClearView]:
+        if isinstance(index, slice):
+            return _Chosen(self._views, self._indices[index])
+        return self._views[self._indices[index]]
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+
+def _connected(ranked: Sequence[Sequence[int]], view: int) -> list[int]:
+    """Views that this one names, best first, then those that name it."""
+    named = list(ranked[view])
+    return named + [other for other, names in enumerate(ranked) if view in names and other not in named]
+
+
+def _outward_order(ranked: Sequence[Sequence[int]]) -> list[int]:
+    """The view that others name first most often, then always the one that is best connected to those before it."""
+    weights = [[0.0] * len(ranked) for _ in ranked]
+    for view, names in enumerate(ranked):
+        for rank, other in enumerate(names):
+            weights[view][other] += 1 / (1 + rank)
+            weights[other][view] += 1 / (1 + rank)
+    named = [sum(1 / (1 + list(names).index(view)) for names in ranked if view in names) for view in range(len(ranked))]
+    reached = [0.0] * len(ranked)
+    left = list(range(len(ranked)))
+    order: list[int] = []
+    while left:
+        view = max(left, key=lambda v: (reached[v], named[v], -v))
+        order.append(view)
+        left.remove(view)
+        for other in left:
+            reached[other] += weights[view][other]
+    return order
+
+
+# § Self-attention that also looks at other views: a processor for diffusers' `Attention`.
+
+diffusers_attention: Any = import_module("diffusers.models.attention_processor")
+
+
+@runtime_checkable
+class LooksAround(Protocol):
+    """Knows what the queries of a layer may look at besides their own view."""
+
+    def looked_at(self, layer: str, features: Tensor) -> list[Tensor | None]:
+        """Return for each entry of (b, tokens, channels) features of other views, (more tokens, channels), or None."""
+        ...
+
+
+class MutualSelfAttention:
+    """Mutual self-attention, eq. (16)-(19): a view's queries, keys and values of neighbours warped onto it and its own.
+
+    All else is as diffusers' `AttnProcessor2_0`. Tokens without a place in the neighbour are left out, which is what a
+    mask with minus infinity does; warped zeros would have weight e^0. Entries with nothing to look at get plain
+    attention.
+    """
+
+    def __init__(self, layer: str, around: LooksAround, most_scores: int) -> None:
+        self.layer, self.around, self.most_scores = layer, around, most_scores
+        self._plain = diffusers_attention.AttnProcessor2_0()
+
+    def __call__(
+        self,
+        attn: Any,
+        hidden_states: Tensor,
+        encoder_hidden_states: Tensor | None = None,
+        attention_mask: Tensor | None = None,
+        temb: Tensor | None = None,
+    ) -> Tensor:
+        """Attend over (b, tokens, channels) or (b, channels, h, w) features; returns the same shape."""
+        if encoder_hidden_states is not None or attention_mask is not None:
+            return self._plain(attn, hidden_states, encoder_hidden_states, attention_mask, temb)
+        residual = hidden_states
+        if attn.spatial_norm is not None:
+            hidden_states = attn.spatial_norm(hidden_states, temb)
+        shape = hidden_states.shape
+        if len(shape) == 4:
+            hidden_states = hidden_states.flatten(2).transpose(1, 2)
+        if attn.group_norm is not None:
+            hidden_states = attn.group_norm(hidden_states.transpose(1, 2)).transpose(1, 2)
+        found = self._attended(attn, hidden_states).to(hidden_states.dtype)
+        found = attn.to_out[1](attn.to_out[0](found))
+        if len(shape) == 4:
+            found = found.transpose(1, 2).reshape(shape)
+        if attn.residual_connection:
+            found = found + residual
+        return found / attn.rescale_output_factor
+
+    def _attended(self, attn: Any, features: Tensor) -> Tensor:
+        others = self.around.looked_at(self.layer, features)
+        query = _heads(attn, attn.to_q(features), attn.norm_q)
+        key, value = _keys(attn, features)
+        if all(other is None for other in others):
+            return _joined(attended(query, key, value, attn.scale, self.most_scores))
+        outputs: list[Tensor] = []
+        for i, other in enumerate(others):
+            q, k, v = query[i : i + 1], key[i : i + 1], value[i : i + 1]
+            if other is not None:
+                other_k, other_v = _keys(attn, other[None])
+                k, v = torch.cat([other_k, k], dim=2), torch.cat([other_v, v], dim=2)
+            outputs.append(attended(q, k, v, attn.scale, self.most_scores))
+        return _joined(torch.cat(outputs))
+
+
+def _keys(attn: Any, features: Tensor) -> tuple[Tensor, Tensor]:
+    """Keys and values. They are linear: those of warped features are the warped ones."""
+    return _heads(attn, attn.to_k(features), attn.norm_k), _heads(attn, attn.to_v(features), None)
+
+
+def _heads(attn: Any, projected: Tensor, norm: Any) -> Tensor:
+    """(b, tokens, heads x d) as (b, heads, tokens, d)."""
+    split = projected.unflatten(-1, (attn.heads, -1)).transpose(1, 2)
+    return split if norm is None else norm(split)
+
+
+def _joined(found: Tensor) -> Tensor:
+    """(b, heads, tokens, d) as (b, tokens, heads x d)."""
+    return found.transpose(1, 2).flatten(2)
+
+
+# § Attention whose memory is bounded: queries come in chunks.
+
+
+def attended(query: Tensor, key: Tensor, value: Tensor, scale: float, most_scores: int) -> Tensor:
+    """Return softmax(scale query key^T) value of (b, heads, tokens, d) tensors.
+
+    The keys' number may differ from the queries'. Not more than `most_scores` scores (b x heads x queries x keys)
+    exist at once, whatever kernel torch takes, as long as those of one query do not exceed it.
+    """
+    scores_per_query = query.shape[0] * query.shape[1] * key.shape[2]
+    chunk = max(most_scores // max(scores_per_query, 1), 1)
+    parts = [
+        torch.nn.functional.scaled_dot_product_attention(part, key, value, scale=scale)
+        for part in query.split(chunk, dim=2)
+    ]
+    return parts[0] if len(parts) == 1 else torch.cat(parts, dim=2)

@@ -1,0 +1,354 @@
+"""CycleGAN-Turbo as a transfer: clear views go through the network in an order in which neighbours can be looked at."""
+
+import logging
+import math
+import time
+from collections.abc import Container, Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32
+
+from ..base import ClearView, RainyView
+from ..correspondence import correspondence
+from ..normal_estimators import NormalEstimator, open_estimator
+from ..normals import grey_guide
+from .cross_view_attention import Element, Exchange, Plan, Step, exchanging, planned
+from .model import CycleGanTurbo
+from .pretrained import open_model
+from .settings import MutualAttention, RunSettings, Window
+from .weight_paths import find_weights
+
+if TYPE_CHECKING:
+    from ..base import TransferSettings
+
+torch: Any = import_module("torch")
+
+Tensor = Any
+
+_LEVELS = 8
+"""The UNet halves its latent three times: tiles begin where its coarsest tokens do."""
+
+_LEAST_MATCHED = 0.02
+"""Share of a view's pixels with a place in another one from which it attends to it."""
+
+WITHOUT_POSE = "no attention between views: it is not known where their cameras stood"
+
+NO_OVERLAP = "no attention between views: no other one is known to show the same place"
+"""Notes on what was left out of views that stand by themselves."""
+
+log = logging.getLogger(__name__)
+
+# § Pictures as the network takes them: sizes, tiles, and the way back to the clear picture's size.
+
+Picture = Float32[np.ndarray, "_ _ c"]
+
+
+class CycleGanTurboTransfer:
+    """The paper's transfer: one step of a fine-tuned SD-Turbo, told surface normals, with mutual self-attention."""
+
+    name = "cyclegan-turbo"
+
+    def __init__(
+        self, model: CycleGanTurbo, settings: RunSettings | None = None, estimator: NormalEstimator | None = None
+    ) -> None:
+        """Take a model with its weights.
+
+        Args:
+            model: On the device and in the precision in which it is to run.
+            settings: Sizes, guides and neighbours.
+            estimator: Tells normals where `settings.normals` is neither "depth" nor "none".
+        """
+        self.model, self.settings, self.estimator = model, settings or RunSettings(), estimator
+        weight = model.unet.conv_out.weight
+        self._device, self._dtype = weight.device, weight.dtype
+        self._has_warned = False
+        self._count = 0
+
+    def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
+        """Make views rainy, in the order of the plan; see `Transfer`. Holds what later views look at, nothing else."""
+        mutual, self._count = self.settings.mutual, len(views)
+        plan = planned(views, mutual)
+        if mutual is None or not plan.last_use():
+            yield from self._steps(views, plan, None)
+            return
+        with exchanging(self.model.unet, mutual) as talk:
+            yield from self._steps(views, plan, talk)
+
+    def _steps(self, views: Sequence[ClearView], plan: Plan, talk: Exchange | None) -> Iterator[RainyView]:
+        last_use = plan.last_use()
+        held: dict[int, ClearView] = {}
+        for number, step in enumerate(plan.steps):
+            held.update({index: views[index] for index in step.views})
+            if not number:
+                self._tell_duration(held[step.views[0]], len(views))
+            yield from self._step(held, step, last_use, talk)
+            over = {index for index in held if last_use.get(index, -1) <= number}
+            for index in over:
+                del held[index]
+            if talk is not None:
+                talk.maps.forget(over)
+
+    def seconds_per_view(self, width: int, height: int) -> float:
+        """Estimate how long a clear picture of this size in pixels takes here; see `estimated_seconds`."""
+        windows = self._windows(width, height)
+        one = estimated_seconds(
+            windows[0].width, windows[0].height, str(self._device), self._dtype, self.settings.mutual is not None
+        )
+        return len(windows) * one
+
+    def _tell_duration(self, view: ClearView, count: int) -> None:
+        if self.model.architecture.name != "tiny":
+            seconds = count * self.seconds_per_view(view.camera.width, view.camera.height)
+            log.info("%s: %d views will take about %.0f s on %s", self.name, count, seconds, self._device)
+
+    def _step(
+        self, held: dict[int, ClearView], step: Step, is_source: Container[int], talk: Exchange | None
+    ) -> Iterator[RainyView]:
+        frames = [self._frame(held[index]) for index in step.views]
+        entries: list[_Entry] = []
+        looks: dict[int, bool] = {}
+        for index, sources, frame in zip(step.views, step.sources, frames, strict=True):
+            found = ((source, correspondence(held[index], held[source])) for source in sources)
+            places = tuple(each for each in found if each[1].valid.mean() >= _LEAST_MATCHED)
+            looks[index] = bool(places) or index in is_source
+            entries += [
+                _Entry(frame, window, Element(index, window, places, index in is_source)) for window in frame.windows
+            ]
+        # Views of one step may look at each other in every layer; tiles of one view never do.
+        size = len(entries) if len(step.views) > 1 else 1
+        made: list[Picture] = []
+        for start in range(0, len(entries), size):
+            made += self._made(entries[start : start + size], talk)
+        for index, frame in zip(step.views, frames, strict=True):
+            parts, made = made[: len(frame.windows)], made[len(frame.windows) :]
+            small = blended(parts, frame.windows, self.settings.overlap_px)
+            clear = held[index]
+            image = brought_back(small, frame.picture, clear.image, self.settings.detail)
+            yield RainyView(clear, image, left_out="" if looks[index] else self._why_alone(clear))
+
+    def _why_alone(self, view: ClearView) -> str:
+        """Say why a view attends to no other one and none to it; nothing where that was not asked for."""
+        mutual = self.settings.mutual
+        if mutual is None or not mutual.neighbours or self._count < 2:
+            return ""
+        return NO_OVERLAP if view.has_pose else WITHOUT_POSE
+
+    def _made(self, entries: Sequence["_Entry"], talk: Exchange | None) -> list[Picture]:
+        """Run entries of one size through the network at once; display colour, 0..1."""
+        pictures = torch.stack([self._tensor(2 * _part(e.frame.picture, e.window) - 1) for e in entries])
+        guided = self.model.takes_guides and all(e.frame.guide is not None for e in entries)
+        guides = torch.stack([self._tensor(_part(e.frame.guide, e.window)) for e in entries]) if guided else None
+        announced = nullcontext() if talk is None else talk.batch([e.element for e in entries])
+        with announced, torch.inference_mode():
+            found = self.model.translate(pictures, guides, "a2b").float().permute(0, 2, 3, 1).cpu().numpy()
+        return [np.clip((each + 1) / 2, 0, 1).astype(np.float32) for each in found]
+
+    def _frame(self, view: ClearView) -> "_Frame":
+        windows = self._windows(view.camera.width, view.camera.height)
+        height, width = windows[0].frame
+        guide = self._guide(view)
+        return _Frame(
+            resized(view.image, height, width),
+            None if guide is None else np.clip(resized(guide[..., None], height, width), -1, 1),
+            windows,
+        )
+
+    def _windows(self, width: int, height: int) -> tuple[Window, ...]:
+        """A clear picture of this size as the network takes it: in one piece or in tiles."""
+        settings, multiple = self.settings, self.model.architecture.side_multiple
+        frame = frame_size(height, width, settings.side_px, multiple)
+        if settings.tile_px is None or max(frame) <= settings.tile_px:
+            return (Window.whole(*frame),)
+        multiple *= _LEVELS
+        frame = frame_size(height, width, settings.side_px, multiple)
+        return tiles(*frame, settings.tile_px, settings.overlap_px, multiple)
+
+    def _guide(self, view: ClearView) -> Float32[np.ndarray, "h w"] | None:
+        if self.settings.normals == "none" or not self.model.takes_guides:
+            return None
+        normals = view.normals if self.estimator is None else self.estimator.normals(view.image, view.camera)
+        if not normals.any() and not self._has_warned:
+            log.warning("%s: nothing tells its normals; a network can (normals: dsine, marigold)", view.name)
+            self._has_warned = True
+        return grey_guide(normals, view.camera, self.settings.guide)
+
+    def _tensor(self, values: Picture) -> Tensor:
+        channels = torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1), np.float32))
+        return channels.to(self._device, self._dtype)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frame:
+    picture: Picture
+    guide: Float32[np.ndarray, "h w 1"] | None
+    windows: tuple[Window, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Entry:
+    frame: _Frame
+    window: Window
+    element: Element
+
+
+def _part(values: Picture | None, window: Window) -> Picture:
+    assert values is not None
+    return values[window.top : window.top + window.height, window.left : window.left + window.width]
+
+
+# § CycleGAN-Turbo ready to run, from what a person has chosen: weights, device, normals, neighbours.
+
+
+def open_cyclegan_turbo(settings: "TransferSettings") -> CycleGanTurboTransfer:
+    """Load SD-Turbo with a transfer's weights from the person's disk, and what is to tell normals.
+
+    Raises FileNotFoundError, with how to get what is missing, and ValueError for files and settings that don't fit
+    each other.
+    """
+    weights = settings.weights or find_weights()
+    wants_normals = settings.normals != "none"
+    model = open_model(weights, settings.base, normals=wants_normals)
+    if wants_normals and model.guide == "mask":
+        raise ValueError(f"{weights}: its fourth channel takes a mask of classes, not normals: run it without normals")
+    if wants_normals and not model.guide:
+        log.info("%s: trained without normals, which are left out", weights)
+    from_network = settings.normals in ("dsine", "marigold") and bool(model.guide)
+    device = chosen_device(settings.device)
+    estimator = (
+        open_estimator(settings.normals, settings.normals_weights, settings.normals_checkout, device)
+        if from_network
+        else None
+    )
+    run = RunSettings(
+        side_px=settings.side_px,
+        tile_px=settings.tile_px,
+        normals=settings.normals if model.guide else "none",
+        guide=settings.guide,
+        mutual=MutualAttention(neighbours=settings.neighbours) if settings.mutual_attention else None,
+    )
+    model = model.to(device, getattr(torch, settings.precision))
+    return CycleGanTurboTransfer(model, run, estimator)
+
+
+def chosen_device(name: str) -> str:
+    """Return "cpu" or "cuda"; "auto" takes a GPU where there is one. Raises ValueError where "cuda" has none."""
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ValueError("device cuda: torch finds no GPU here")
+    return name
+
+
+# § How long a machine will take for a picture, before it begins: known work over a speed tried out in a moment.
+
+_LINEAR, _QUADRATIC = 4.278e12, 0.190e12
+"""Floating-point operations of SD-Turbo's architecture for 512 x 512 px: what grows with the pixels (convolutions), and
+with their square (attention). Counted by torch's FlopCounterMode at 512 and 1024 px."""
+
+_PROBE_CHANNELS, _PROBE_SIDE_PX = 128, 192
+"""A convolution like those that the autoencoder spends its time in."""
+
+_SHARE_OF_PROBE = {"cpu": 0.75, "cuda": 0.6}
+"""How much of the probe's speed the whole network reaches."""
+
+
+def estimated_seconds(width: int, height: int, device: str = "cpu", dtype: Any = None, mutual: bool = False) -> float:
+    """Seconds for one picture of this size in pixels, on this machine as busy as it is now.
+
+    Takes about a tenth of a second itself. Good to a factor of 1.5, since memory and company count as well. Mutual
+    attention doubles the keys, and with them what grows with the square.
+    """
+    pictures = width * height / 512**2
+    work = _LINEAR * pictures + _QUADRATIC * pictures**2 * (2 if mutual else 1)
+    return work / (measured_speed(device, dtype) * _SHARE_OF_PROBE.get(torch.device(device).type, 0.6))
+
+
+def measured_speed(device: str = "cpu", dtype: Any = None) -> float:
+    """Floating-point operations a second of a 3x3 convolution, the best of three tries."""
+    kind = torch.float32 if dtype is None else dtype
+    channels, side = _PROBE_CHANNELS, _PROBE_SIDE_PX
+    layer = torch.nn.Conv2d(channels, channels, 3, padding=1, device=device, dtype=kind)
+    flow = torch.ones(1, channels, side, side, device=device, dtype=kind)
+    times: list[float] = []
+    with torch.inference_mode():
+        for _ in range(4):
+            started = time.perf_counter()
+            float(layer(flow)[0, 0, 0, 0])  # reading a value waits for a GPU
+            times.append(time.perf_counter() - started)
+    return 2 * 9 * channels**2 * side**2 / min(times[1:])
+
+
+def frame_size(height: int, width: int, side_px: int | None, multiple: int) -> tuple[int, int]:
+    """Height and width, multiples of `multiple`, at which the shorter side is about `side_px`; nothing is enlarged.
+
+    Each side is rounded to the nearest multiple: proportions change by less than 1 % at 512 px with multiples of 8.
+    """
+    scale = 1.0 if side_px is None else min(side_px / min(height, width), 1.0)
+    rows, columns = (max(round(side * scale / multiple), 1) for side in (height, width))
+    return rows * multiple, columns * multiple
+
+
+def resized(image: Picture, height: int, width: int) -> Picture:
+    """Bring a picture (h, w, c) to another size: by area where it shrinks (nothing aliases), cubic where it grows."""
+    if image.shape[:2] == (height, width):
+        return image
+    shrinks = height <= image.shape[0] and width <= image.shape[1]
+    found = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
+    return found.reshape(height, width, image.shape[2]).astype(np.float32)
+
+
+def brought_back(made: Picture, seen: Picture, clear: Picture, detail: bool) -> Picture:
+    """Bring what the network made of `seen` to the size of the clear picture that `seen` was made from; display, 0..1.
+
+    With `detail`, what the clear picture has beyond `seen` is added: the top band of a Laplacian pyramid (Burt and
+    Adelson 1983), since the transfer is about low frequencies.
+    """
+    height, width = clear.shape[:2]
+    large = resized(made, height, width)
+    if detail and made.shape != clear.shape:
+        large = large + clear - resized(seen, height, width)
+    return np.clip(large, 0, 1)
+
+
+def tiles(height: int, width: int, tile_px: int, overlap_px: int, multiple: int) -> tuple[Window, ...]:
+    """Cut a picture into windows of at most `tile_px` a side that overlap, all beginning at multiples of `multiple`."""
+    tall, wide = min(tile_px, height), min(tile_px, width)
+    rows, columns = _starts(height, tall, overlap_px, multiple), _starts(width, wide, overlap_px, multiple)
+    return tuple(Window(top, left, tall, wide, (height, width)) for top in rows for left in columns)
+
+
+def blended(parts: Sequence[Picture], windows: Sequence[Window], overlap_px: int) -> Picture:
+    """Put tiles together again; where they overlap, each fades out towards its own border."""
+    if len(parts) == 1:
+        return parts[0]
+    frame = windows[0].frame
+    total = np.zeros((*frame, parts[0].shape[2]))
+    weights = np.zeros((*frame, 1))
+    for part, window in zip(parts, windows, strict=True):
+        weight = _fade(window.height, overlap_px)[:, None, None] * _fade(window.width, overlap_px)[None, :, None]
+        rows, columns = slice(window.top, window.top + window.height), slice(window.left, window.left + window.width)
+        total[rows, columns] += weight * part
+        weights[rows, columns] += weight
+    return (total / weights).astype(np.float32)
+
+
+def _starts(side: int, tile: int, overlap: int, multiple: int) -> list[int]:
+    """Where tiles begin: as few as have the overlap, spread evenly."""
+    if tile >= side:
+        return [0]
+    # Whole multiples: even steps below it, rounded down one by one, never get further apart than it.
+    step = max((tile - overlap) // multiple, 1) * multiple
+    count = math.ceil((side - tile) / step)
+    return [(side - tile) * i // count // multiple * multiple for i in range(count)] + [side - tile]
+
+
+def _fade(side: int, overlap: int) -> Float[np.ndarray, " n"]:
+    """Raised cosine from nearly 0 at both ends to 1 within the overlap."""
+    ramp = max(min(overlap, side // 2), 1)
+    near_end = np.minimum(np.arange(side), np.arange(side)[::-1]) + 0.5
+    return 0.5 - 0.5 * np.cos(np.pi * np.minimum(near_end / ramp, 1))

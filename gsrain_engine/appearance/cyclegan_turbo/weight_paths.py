@@ -1,0 +1,116 @@
+"""Where the files of CycleGAN-Turbo are looked for on a person's machine, and how to get them. Needs no torch."""
+
+import os
+from pathlib import Path
+
+import platformdirs
+
+from ...safe_io.limits import read_file
+
+BASE_VARIABLE = "GSRAIN_SD_TURBO"
+"""Environment variable with a folder of SD-Turbo in diffusers' layout."""
+
+WEIGHTS_VARIABLE = "GSRAIN_TRANSFER_WEIGHTS"
+"""Environment variable with a file of transfer weights."""
+
+PUBLISHED_URL = "https://www.cs.cmu.edu/~img2img-turbo/models/clear2rainy.pkl"
+
+_HUB_NAME = "stabilityai/sd-turbo"
+
+_MAX_NAME_BYTES = 1 << 10
+
+_PARTS = ("unet", "vae")
+
+_SUFFIXES = (".safetensors", ".pkl", ".pt", ".pth")
+
+
+def data_folder() -> Path:
+    """The person's folder for what GSRAIN can use and does not ship."""
+    return platformdirs.user_data_path("gsrain", appauthor=False)
+
+
+def base_places() -> tuple[Path, ...]:
+    """Folders in which SD-Turbo may lie: GSRAIN_SD_TURBO if set, else the data folder and Hugging Face's cache."""
+    own = os.environ.get(BASE_VARIABLE)
+    return (Path(own),) if own else (data_folder() / "sd-turbo", *hub_snapshots(_HUB_NAME))
+
+
+def is_base(folder: Path) -> bool:
+    """Whether a folder has UNet and autoencoder as diffusers lays them out."""
+    return all((folder / part / "config.json").is_file() for part in _PARTS)
+
+
+def find_base(folder: Path | None = None) -> Path:
+    """The folder with SD-Turbo: the given one, or the first place that has it.
+
+    Raises FileNotFoundError, with where it was looked for and how to get it.
+    """
+    places = base_places() if folder is None else (folder,)
+    for place in places:
+        if is_base(place):
+            return place
+    looked = places if folder is not None or os.environ.get(BASE_VARIABLE) else (*places, _hub_cache(_HUB_NAME))
+    where = " and ".join(map(str, looked))
+    raise FileNotFoundError(f"no SD-Turbo (unet/config.json, vae/config.json) at {where}: {how_to_get_base()}")
+
+
+def check_complete(base: Path) -> None:
+    """Raise FileNotFoundError where a part of SD-Turbo has its configuration but no weights, naming the folder."""
+    for part in _PARTS:
+        if not any((base / part).glob("diffusion_pytorch_model*.safetensors")):
+            missing = f"{base / part}: no weights (diffusion_pytorch_model.safetensors)"
+            raise FileNotFoundError(f"{missing}: {how_to_get_base()}")
+
+
+def how_to_get_base() -> str:
+    kinds = " ".join(f"--include '{kind}'" for kind in ("*.json", "*.txt", "*model.safetensors"))
+    return (
+        f"hf download {_HUB_NAME} {kinds} --local-dir {data_folder() / 'sd-turbo'} (5 GB, under the licence of "
+        f"Stability AI; older versions of the tool are called huggingface-cli), or set {BASE_VARIABLE} to its folder"
+    )
+
+
+def weights_places() -> tuple[Path, ...]:
+    """Where transfer weights are looked for: the file of GSRAIN_TRANSFER_WEIGHTS, else a folder of such files."""
+    own = os.environ.get(WEIGHTS_VARIABLE)
+    return (Path(own),) if own else (data_folder() / "transfer",)
+
+
+def find_weights() -> Path:
+    """The file with transfer weights: clear2rainy.pkl, else the first by name.
+
+    Raises FileNotFoundError, with where it was looked for and how to get one.
+    """
+    for place in weights_places():
+        if place.is_file():
+            return place
+        files = sorted(file for file in place.glob("*") if file.suffix in _SUFFIXES)
+        if files:
+            return min(files, key=lambda file: file.name != "clear2rainy.pkl")
+    looked = " and ".join(map(str, weights_places()))
+    raise FileNotFoundError(
+        f"no transfer weights at {looked}: put {PUBLISHED_URL} there, or name a file by --weights or {WEIGHTS_VARIABLE}"
+    )
+
+
+def text_encoder_folder(base: Path) -> Path | None:
+    """The folder of the text encoder beside UNet and autoencoder; None where it, or its tokenizer, is missing."""
+    found = (base / "text_encoder" / "config.json").is_file() and (base / "tokenizer").is_dir()
+    return base / "text_encoder" if found else None
+
+
+def captions_file() -> Path:
+    """Where embeddings of captions are kept, so that the text encoder is needed once."""
+    return platformdirs.user_cache_path("gsrain", appauthor=False) / "captions" / "sd-turbo.safetensors"
+
+
+def hub_snapshots(name: str) -> list[Path]:
+    """Snapshots of a model in the cache of Hugging Face's tools, the one that "main" names first."""
+    main = _hub_cache(name) / "refs" / "main"
+    named = read_file(main, _MAX_NAME_BYTES).decode("utf-8").strip() if main.is_file() else ""
+    return sorted((_hub_cache(name) / "snapshots").glob("*"), key=lambda folder: (folder.name != named, folder.name))
+
+
+def _hub_cache(name: str) -> Path:
+    home = Path(os.environ.get("HF_HOME", Path.home() / ".cache" / "huggingface"))
+    return Path(os.environ.get("HF_HUB_CACHE", home / "hub")) / f"models--{name.replace('/', '--')}"

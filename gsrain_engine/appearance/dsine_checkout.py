@@ -1,0 +1,95 @@
+"""Builds DSINE's module from a copy of its program, on any device and without a download."""
+
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from ..trusted_code import Code, check_named, check_unchanged, importable, read_code
+
+_PACKAGES = ("models", "utils")
+"""What its files import by such common names that they must not stay importable."""
+
+
+def checkout_code(checkout: Path) -> Code:
+    """Read the program: all Python that its files import from the checkout."""
+    return read_code(checkout, _PACKAGES)
+
+
+def check_checkout(named_by: str | Path, normals: str, checkout: Path | str | None) -> None:
+    """Raise `UntrustedCodeError` where the settings of a file would run a program that no person has allowed."""
+    if normals == "dsine" and checkout is not None:
+        check_named(named_by, Path(checkout), _PACKAGES)
+
+
+def dsine_module(checkout: Path, estimates_uncertainty: bool = False) -> Any:
+    """Return DSINE without weights, as `torch.nn.Module`, from either layout that its repository has had.
+
+    Raises ValueError where the folder is something else, `geffnet` is not installed, or a file has named it and no
+    person has allowed its content.
+    """
+    if not any((checkout / "models" / file).is_file() for file in ("dsine.py", "dsine/v02.py")):
+        raise ValueError(f"{checkout}: not DSINE's program: it has neither models/dsine/v02.py nor models/dsine.py")
+    code = checkout_code(checkout)
+    check_unchanged(code)
+    with importable(code):
+        try:
+            return _built(checkout, estimates_uncertainty)
+        except ModuleNotFoundError as error:
+            raise ValueError(f"DSINE in {checkout} needs {error.name}: pip install {error.name}") from None
+
+
+def _built(checkout: Path, estimates_uncertainty: bool) -> Any:
+    if not (checkout / "models" / "dsine" / "v02.py").is_file():
+        _without_pretrained_encoder(import_module("models.submodules"))
+        return import_module("models.dsine").DSINE()
+    name = "v02_kappa" if estimates_uncertainty else "v02"
+    program: Any = import_module(f"models.dsine.{name}")
+    coordinates = program.get_pixel_coords
+
+    def unmoved(h: int, w: int) -> _Unmoved:
+        return _Unmoved(coordinates(h=h, w=w))
+
+    program.get_pixel_coords = unmoved
+    _without_pretrained_encoder(import_module("models.conv_encoder_decoder.submodules"))
+    return getattr(program, f"DSINE_{name}")(_published_settings())
+
+
+@dataclass(frozen=True, slots=True)
+class _Unmoved:
+    """A tensor that the program would put on the first GPU at once, where there may be none."""
+
+    tensor: Any
+
+    def to(self, device: object) -> Any:
+        return self.tensor
+
+
+def _published_settings() -> SimpleNamespace:
+    """Return the settings of its published weights (experiments exp001_cvpr2024 and exp002_kappa)."""
+    return SimpleNamespace(
+        NNET_encoder_B=5,
+        NNET_decoder_NF=2048,
+        NNET_decoder_BN=False,
+        NNET_decoder_down=8,
+        NNET_learned_upsampling=True,
+        NNET_output_dim=3,
+        NNET_feature_dim=64,
+        NNET_hidden_dim=64,
+        NRN_prop_ps=5,
+        NRN_num_iter_train=5,
+        NRN_num_iter_test=5,
+        NRN_ray_relu=True,
+    )
+
+
+def _without_pretrained_encoder(program: Any) -> None:
+    """Keep its encoder from fetching ImageNet weights, which the person's own weights would replace at once."""
+    create = program.geffnet.create_model
+    program.geffnet = SimpleNamespace(create_model=partial(_created, create))
+
+
+def _created(create: Any, name: str, pretrained: bool = True) -> Any:
+    return create(name, pretrained=False)

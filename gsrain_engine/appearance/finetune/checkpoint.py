@@ -1,0 +1,99 @@
+"""How far a fine-tuning has come, on disk: a safetensors file, no pickle, that appears whole or not at all."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from ...safe_io.limits import check_file
+from ...safe_io.text_files import printable
+from ...scene.files import whole_file
+from .settings import FinetuningSettings
+
+safetensors: Any = import_module("safetensors")
+
+safetensors_torch: Any = import_module("safetensors.torch")
+
+_VERSION = 1
+
+_HEAD = "gsrain"
+
+_FREE = frozenset(
+    {"steps", "samples", "sampled_every", "saved_every", "warned_after", "gradient_checkpointing", "device", "base",
+     "clip", "lpips", "start"}
+)  # fmt: skip
+"""Settings that may change when a training is taken up again: places of files, and nothing that is learned from."""
+
+
+class FinetuningCheckpointError(ValueError):
+    """A training can't be taken up from a checkpoint; the message names the file and says why."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Checkpoint:
+    """Everything that a training goes on from. Random numbers and the order of pictures follow from `step`."""
+
+    step: int
+    """How many iterations are done."""
+    seconds: float
+    """How long they took."""
+    tensors: Mapping[str, Any]
+    perceptual: bool
+    """Whether LPIPS was a part of the losses."""
+
+
+class _Head(msgspec.Struct, frozen=True, kw_only=True):
+    version: int
+    step: int
+    seconds: float
+    perceptual: bool
+    pictures: str
+    settings: FinetuningSettings
+
+
+def write_checkpoint(file: Path, checkpoint: Checkpoint, settings: FinetuningSettings, pictures: str) -> None:
+    """Write a checkpoint; `pictures` is a text that tells sets of pictures apart."""
+    head = _Head(
+        version=_VERSION, step=checkpoint.step, seconds=checkpoint.seconds, perceptual=checkpoint.perceptual,
+        pictures=pictures, settings=settings,
+    )  # fmt: skip
+    with whole_file(file) as beside:
+        text = msgspec.json.encode(head).decode()
+        safetensors_torch.save_file(dict(checkpoint.tensors), str(beside), metadata={_HEAD: text})
+
+
+def read_checkpoint(file: Path, settings: FinetuningSettings, pictures: str, perceptual: bool) -> Checkpoint:
+    """Read a checkpoint of the same training. Raises `FinetuningCheckpointError` where it is damaged or of another."""
+    if not file.is_file():
+        raise FinetuningCheckpointError(f"{file}: there is no checkpoint to resume from; begin anew without --resume")
+    try:
+        check_file(file)
+        with safetensors.safe_open(str(file), "pt") as opened:
+            head = msgspec.json.decode((opened.metadata() or {})[_HEAD], type=_Head)
+            tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118 (no mapping)
+    except (
+        AttributeError, KeyError, OSError, RecursionError, RuntimeError, TypeError, ValueError,
+        msgspec.MsgspecError, safetensors.SafetensorError,
+    ) as error:  # fmt: skip
+        raise FinetuningCheckpointError(
+            f"{file}: not a checkpoint of a training, or damaged: {printable(error)}"
+        ) from None
+    if head.version != _VERSION:
+        raise FinetuningCheckpointError(f"{file}: a checkpoint of version {head.version}, expected {_VERSION}")
+    if head.pictures != pictures:
+        raise FinetuningCheckpointError(
+            f"{file}: made from other pictures ({printable(head.pictures)}), now they are {pictures}"
+        )
+    if head.perceptual != perceptual:
+        missing = (
+            "without LPIPS, whose weights are there now" if perceptual else "with LPIPS, whose weights are missing"
+        )
+        raise FinetuningCheckpointError(f"{file}: trained so far {missing}; give it the same again")
+    for name in settings.__struct_fields__:
+        before, now = getattr(head.settings, name), getattr(settings, name)
+        if before != now and name not in _FREE:
+            raise FinetuningCheckpointError(f"{file}: made with {name} {before}, now it is {now}")
+    return Checkpoint(head.step, head.seconds, tensors, head.perceptual)

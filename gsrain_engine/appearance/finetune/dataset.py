@@ -1,0 +1,304 @@
+"""Opens the pictures of a training: sources to pictures of two looks, split into training and test."""
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import cv2
+import numpy as np
+from jaxtyping import Float32
+from msgspec import Meta, Struct
+from PIL import Image
+
+from ...datasets.capture import CaptureError, View, readable_pictures
+from ...datasets.capture_folder import NO_POSES
+from ...datasets.open_capture import open_capture
+from ...datasets.rainsense import RAIN
+from ...datasets.undistort import prepared
+from ...safe_io.limits import open_file
+from ...scene.files import whole_file
+from ..normal_estimators import NormalEstimator
+from ..normals import grey_guide, normals_from_depth
+
+_Guide = Callable[[View], Float32[np.ndarray, "_ _"] | None]
+
+# § A picture as training takes it: framed, in floats, with its guide.
+
+Framing = Literal["stretch", "crop"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """One picture of a data set, read when it is asked for."""
+
+    name: str
+    view: View
+    width: int
+    height: int
+    framing: Framing = "stretch"
+    guide: Callable[[View], Float32[np.ndarray, "_ _"] | None] | None = None
+    """Works out the guide of a straightened view; None trains without one."""
+
+    def read(self) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"] | None]:
+        """Display colour 0..1, and the guide -1..1 or None. Raises `CaptureError` where the file is broken."""
+        view = prepared(self.view)
+        pixels = Image.fromarray(self._cut(view.image)).resize((self.width, self.height), Image.Resampling.LANCZOS)
+        guide = None if self.guide is None else self.guide(view)
+        if guide is not None:
+            shrunk = cv2.resize(self._cut(guide), (self.width, self.height), interpolation=cv2.INTER_AREA)
+            guide = np.clip(shrunk, -1, 1).astype(np.float32)
+        return np.asarray(pixels, np.float32) / np.float32(255), guide
+
+    def _cut(self, pixels: np.ndarray) -> np.ndarray:
+        """Return the middle that has the proportions asked for, or everything."""
+        if self.framing == "stretch":
+            return pixels
+        height, width = pixels.shape[:2]
+        inner_width = min(width, round(height * self.width / self.height))
+        inner_height = min(height, round(width * self.height / self.width))
+        left, top = (width - inner_width) // 2, (height - inner_height) // 2
+        return np.ascontiguousarray(pixels[top : top + inner_height, left : left + inner_width])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnpairedPictures:
+    """Pictures of two looks; none belongs to one of the other look."""
+
+    source: tuple[Picture, ...]
+    target: tuple[Picture, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureSplit:
+    """What a training learns from, and what it never sees."""
+
+    train: UnpairedPictures
+    test: UnpairedPictures
+    table: tuple[tuple[str, str, int, int], ...]
+    """A row a source: its path, clear or rainy, pictures in all, and how many of them are for testing."""
+    problems: tuple[str, ...] = ()
+
+    def counted(self) -> Iterator[str]:
+        """Say in lines what there is."""
+        for path, look, count, tested in self.table:
+            yield f"{path}: {count} {look} pictures, {tested} of them for testing"
+
+
+# § Which pictures a transfer is trained on: one value, which is a part of the training's YAML file.
+
+
+class PictureSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Pictures of one data set, by what its own labels say of the weather."""
+
+    path: Annotated[str, Meta(title="Path", description="Any capture, data set or folder of pictures.")]
+    weather: Annotated[
+        Literal["any", "clear", "rainy"],
+        Meta(title="Weather", description="Only pictures that the data set labels so; any: all there are."),
+    ] = "any"
+    daytime: Annotated[bool, Meta(title="Daytime", description="Leave out what is labelled as night or twilight.")] = (
+        True
+    )
+    count: Annotated[
+        Annotated[int, Meta(ge=1)] | None,
+        Meta(title="Count", description="So many, spread evenly over its sequences; none: all."),
+    ] = None
+
+
+class PictureSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Two sets of pictures that show no place twice, how they are framed, and what guides the encoder beside them."""
+
+    clear: Annotated[tuple[PictureSource, ...], Meta(min_length=1, title="Clear", description="In dry weather.")]
+    rainy: Annotated[tuple[PictureSource, ...], Meta(min_length=1, title="Rainy", description="In rain.")]
+    test_share: Annotated[
+        float, Meta(ge=0, lt=1, title="Test share", description="Share of each source that is never trained on.")
+    ] = 0.2
+    width_px: Annotated[int, Meta(ge=16, le=4096, multiple_of=8, title="Width", extra={"unit": "px"})] = 512
+    height_px: Annotated[int, Meta(ge=16, le=4096, multiple_of=8, title="Height", extra={"unit": "px"})] = 512
+    framing: Annotated[
+        Literal["stretch", "crop"],
+        Meta(title="Framing", description="stretch: as the paper, whatever the proportions. crop: their middle."),
+    ] = "stretch"
+    guide: Annotated[
+        Literal["up", "luma", "none"],
+        Meta(title="Guide", description="Fourth channel of the encoder: up-ness of surfaces, their luma, or none."),
+    ] = "up"
+    normals: Annotated[
+        str, Meta(title="Normals", description="Who tells them where a picture has no depth: dsine, marigold, none.")
+    ] = "none"
+    normals_weights: Annotated[
+        str | None, Meta(title="Weights for normals", description="File or folder that the estimator needs.")
+    ] = None
+    normals_checkout: Annotated[
+        str | None, Meta(title="Checkout for normals", description="The person's own copy of DSINE's program.")
+    ] = None
+    seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Which pictures are for testing.")] = 0
+
+
+def open_pictures(settings: PictureSettings, cache: Path | None = None) -> PictureSplit:
+    """Open all sources; estimated guides are kept in the folder `cache`.
+
+    Each source is split by itself, so that both parts are made up alike. Broken pictures are left out and named.
+    Raises `CaptureError` where a source can't be read, has no picture of the weather asked for, or too few.
+    """
+    guide = _guides(settings, cache)
+    rows: list[tuple[str, str, int, int]] = []
+    problems: list[str] = []
+    parts: dict[str, tuple[list[Picture], list[Picture]]] = {}
+    for look, sources in (("clear", settings.clear), ("rainy", settings.rainy)):
+        train, test = parts.setdefault(look, ([], []))
+        for number, source in enumerate(sources):
+            views = _chosen(source, problems)
+            tested = round(settings.test_share * len(views))
+            order = np.random.default_rng((settings.seed, look == "rainy", number)).permutation(len(views))
+            held = set(order[:tested].tolist())
+            for i, view in enumerate(views):
+                name = f"{Path(source.path).name}/{view.name}"
+                picture = Picture(name, view, settings.width_px, settings.height_px, settings.framing, guide)
+                (test if i in held else train).append(picture)
+            rows.append((source.path, look, len(views), tested))
+        if not train:
+            raise CaptureError(f"no {look} picture is left to train on: lower test_share {settings.test_share:g}")
+    train = UnpairedPictures(tuple(parts["clear"][0]), tuple(parts["rainy"][0]))
+    test = UnpairedPictures(tuple(parts["clear"][1]), tuple(parts["rainy"][1]))
+    return PictureSplit(train, test, tuple(rows), tuple(problems))
+
+
+def _guides(settings: PictureSettings, cache: Path | None) -> _Guide | None:
+    if settings.guide == "none":
+        return None
+    if settings.normals == "none":
+        return Guides(settings.guide)
+    from ..normal_estimators import open_estimator  # loads torch
+
+    weights = None if settings.normals_weights is None else Path(settings.normals_weights)
+    checkout = None if settings.normals_checkout is None else Path(settings.normals_checkout)
+    estimator = open_estimator(settings.normals, weights=weights, checkout=checkout)
+    return Guides(settings.guide, estimator, settings.normals, cache)
+
+
+def _chosen(source: PictureSource, problems: list[str]) -> list[View]:
+    capture = open_capture(source.path)
+    if source.weather != "any" and not any(weather_of(view.attributes) for view in capture):
+        raise CaptureError(
+            f"{source.path}: nothing says what the weather is; put clear and rainy pictures into folders of their own, "
+            "with weather: any"
+        )
+    views = [
+        view
+        for view in capture
+        if source.weather in ("any", weather_of(view.attributes))
+        and (is_daylight(view.attributes) or not source.daytime)
+    ]
+    if not views:
+        kind = "" if source.weather == "any" else f"{source.weather} "
+        raise CaptureError(f"{source.path}: has no {kind}picture{' by day' if source.daytime else ''}")
+    if source.count is not None:
+        if source.count > len(views):
+            raise CaptureError(f"{source.path}: count {source.count} is more than the {len(views)} pictures there are")
+        views = _spread(views, source.count)
+    readable = readable_pictures(replace(capture, views=tuple(views)))
+    problems.extend(problem for problem in readable.problems if problem != NO_POSES)
+    return list(readable.views)
+
+
+def _spread(views: Sequence[View], count: int) -> list[View]:
+    """Choose evenly from all sequences: neighbours in time show nearly the same picture."""
+    groups: dict[str, list[View]] = {}
+    for view in views:
+        groups.setdefault(view.sensor, []).append(view)
+    shares = dict.fromkeys(groups, 0)
+    while sum(shares.values()) < count:
+        open_groups = [name for name in groups if shares[name] < len(groups[name])]
+        shares[min(open_groups, key=shares.__getitem__)] += 1
+    chosen: list[View] = []
+    for name, members in groups.items():
+        places = (np.arange(shares[name]) + 0.5) * len(members) / max(shares[name], 1)
+        chosen += [members[int(place)] for place in places]
+    return chosen
+
+
+# § What a data set's own words say of the weather and the light in a picture.
+
+Weather = Literal["clear", "rainy", "other"]
+
+_WEATHERS: Mapping[str, Weather] = {
+    "clear": "clear", "partly cloudy": "clear", "overcast": "clear", "rainy": "rainy",
+    "snowy": "other", "foggy": "other",
+}  # fmt: skip
+"""Words of BDD-100K; beside them it has "undefined"."""
+
+_DARK = ("night", "dawn/dusk")
+
+
+def weather_of(attributes: Mapping[str, str]) -> Weather | None:
+    """Weather by RainSense's intensity or the labels of BDD-100K; None where nothing is said."""
+    if RAIN in attributes:
+        return "rainy" if float(attributes[RAIN]) > 0 else "clear"
+    return _WEATHERS.get(attributes.get("weather", ""))
+
+
+def is_daylight(attributes: Mapping[str, str]) -> bool:
+    """Whether nothing says that it was dark."""
+    return attributes.get("timeofday") not in _DARK
+
+
+# § Guides of pictures: from the capture's own normals or depth, else estimated once and kept on the disk.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Guides:
+    """Works out guides; a call with a view gives its guide, or None where nothing tells its surfaces."""
+
+    kind: Literal["up", "luma"]
+    estimator: NormalEstimator | None = None
+    estimator_name: str = "none"
+    """Tells the kept files of one estimator from those of another."""
+    folder: Path | None = None
+    """Where estimated guides are kept; None keeps none."""
+
+    def __call__(self, view: View) -> Float32[np.ndarray, "_ _"] | None:
+        """Return -1..1 per pixel of a view without lens."""
+        normals = self._known(view)
+        if normals is not None:
+            return grey_guide(normals, view.camera, self.kind)
+        if self.estimator is None:
+            return None
+        return self._estimated(view, self.estimator)
+
+    def _known(self, view: View) -> Float32[np.ndarray, "_ _ 3"] | None:
+        if (normals := view.normals) is not None:
+            return normals.astype(np.float32)
+        depth = view.depth
+        return None if depth is None else normals_from_depth(depth, view.camera)
+
+    def _estimated(self, view: View, estimator: NormalEstimator) -> Float32[np.ndarray, "_ _"]:
+        image, camera = view.image, view.camera
+        asked = f"{self.estimator_name} {self.kind} {camera.fx} {camera.fy} {camera.cx} {camera.cy} {image.shape}"
+        file = None
+        if self.folder is not None:
+            key = hashlib.sha256(asked.encode() + image.tobytes()).hexdigest()[:24]
+            file = self.folder / f"{key}.npy"
+            if (kept := _read(file, image.shape[:2])) is not None:
+                return kept
+        guide = grey_guide(estimator.normals(image.astype(np.float32) / np.float32(255), camera), camera, self.kind)
+        # Kept and used with the same 8 bits: the first time a picture is seen is like every other.
+        steps = np.round(guide * 127).astype(np.int8)
+        if file is not None:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            with whole_file(file) as beside, beside.open("wb") as stream:
+                np.save(stream, steps, allow_pickle=False)
+        return steps.astype(np.float32) / np.float32(127)
+
+
+def _read(file: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "_ _"] | None:
+    """Return a kept guide; None where there is none that is whole."""
+    try:
+        with open_file(file) as stream:
+            steps = np.load(stream, allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        return None
+    if steps.shape != shape or steps.dtype != np.int8:
+        return None
+    return steps.astype(np.float32) / np.float32(127)

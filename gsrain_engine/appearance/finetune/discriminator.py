@@ -1,0 +1,210 @@
+"""Tells made pictures from real ones by CLIP's features, at three levels (vision-aided GAN, Kumari et al. 2022)."""
+
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from .settings import find_clip
+
+torch: Any = import_module("torch")
+
+_normalized: Any = import_module("torch.nn.utils.parametrizations").spectral_norm
+
+Tensor = Any
+
+_SLOPE = 0.2
+
+# § What discriminators look at: features of a frozen CLIP vision model (Kumari et al. 2022, Radford et al. 2021).
+
+
+class ClipFeatures(torch.nn.Module):
+    """Features of two depths and of the whole picture; its numbers stay, gradients go into the pictures."""
+
+    def __init__(self, vision: Any) -> None:
+        """Take a `CLIPVisionModelWithProjection`; of 12 blocks the 4th and the 8th are tapped, of others the thirds."""
+        super().__init__()
+        self.vision = vision.eval().requires_grad_(False)
+        config = vision.config
+        blocks = config.num_hidden_layers
+        self.taps = (max(blocks // 3, 1), max(2 * blocks // 3, 1))
+        """Blocks after which features are taken."""
+        self.map_channels, self.whole_channels = config.hidden_size, config.projection_dim
+        self._side_px: int = config.image_size
+        self.register_buffer("mean", torch.tensor(_MEAN).view(1, 3, 1, 1), persistent=False)
+        self.register_buffer("deviation", torch.tensor(_DEVIATION).view(1, 3, 1, 1), persistent=False)
+
+    @classmethod
+    def read(cls, folder: Path | None) -> "ClipFeatures":
+        """Load a folder that a person has (None: wherever `clip_places` says).
+
+        Raises FileNotFoundError, with how to get it, where there is none, ValueError where weights are missing in it.
+        """
+        place = find_clip(folder)
+        vision, told = _loaded(place)
+        # A whole CLIP has a text model too, which nobody misses; but a number that is missing here would be random.
+        lacking = sorted({*told["missing_keys"], *(name for name, *_ in told["mismatched_keys"])})
+        if lacking:
+            raise ValueError(f"{place}: {len(lacking)} weights of CLIP's vision model are missing, first {lacking[0]}")
+        return cls(vision)
+
+    @classmethod
+    def tiny(cls) -> "ClipFeatures":
+        """Make a stand-in of the same classes with random weights, from torch's present random state."""
+        config = transformers.CLIPVisionConfig(
+            hidden_size=16, intermediate_size=32, projection_dim=16, num_hidden_layers=3, num_attention_heads=2,
+            image_size=32, patch_size=8,
+        )  # fmt: skip
+        return cls(transformers.CLIPVisionModelWithProjection(config))
+
+    def train(self, mode: bool = True) -> "ClipFeatures":
+        """Stay as it is: the model is frozen."""
+        return self
+
+    def forward(self, pictures: Tensor) -> list[Tensor]:
+        """See pictures (b, 3, h, w) of values -1..1: two maps (b, c, rows, columns) and one vector (b, d)."""
+        shown = area_resized(pictures * 0.5 + 0.5, self._side_px)
+        seen = self.vision(pixel_values=(shown - self.mean) / self.deviation, output_hidden_states=True)
+        return [*(_as_map(seen.hidden_states[tap]) for tap in self.taps), seen.image_embeds]
+
+
+class Discriminator(torch.nn.Module):
+    """Heads over frozen features, of layers with spectral norm (Miyato et al. 2018). Only the heads are its own."""
+
+    def __init__(self, features: ClipFeatures, augmentations: Sequence[str], channels: int = 256) -> None:
+        """Several discriminators may look through the same `features`."""
+        super().__init__()
+        self._seen = (features,)  # in a tuple: no part of this module, its numbers are not saved with it
+        self._augmentations = tuple(augmentations)
+        self.maps = torch.nn.ModuleList(_MapHead(features.map_channels, channels) for _ in features.taps)
+        self.whole = torch.nn.Sequential(
+            _normalized(torch.nn.Linear(features.whole_channels, channels)),
+            torch.nn.LeakyReLU(_SLOPE),
+            _normalized(torch.nn.Linear(channels, 1)),
+        )
+
+    def forward(self, pictures: Tensor, generator: Any) -> list[Tensor]:
+        """Logits of "real" for pictures (b, 3, h, w) of values -1..1, a tensor a level; augments with `generator`."""
+        *maps, whole = self._seen[0](augmented(pictures, self._augmentations, generator))
+        return [*(head(each) for head, each in zip(self.maps, maps, strict=True)), self.whole(whole)]
+
+
+class _MapHead(torch.nn.Module):
+    """Logits over a map, one for every second place: convolution, blur against aliasing, convolution."""
+
+    def __init__(self, channels_in: int, channels: int) -> None:
+        super().__init__()
+        self.first = _normalized(torch.nn.Conv2d(channels_in, channels, 3, padding=1))
+        self.last = _normalized(torch.nn.Conv2d(channels, 1, 1, stride=2))
+        line = torch.tensor([0.25, 0.5, 0.25])
+        self.register_buffer("blur", torch.outer(line, line).expand(channels, 1, 3, 3).clone(), persistent=False)
+
+    def forward(self, features: Tensor) -> Tensor:
+        flow = torch.nn.functional.leaky_relu(self.first(features), _SLOPE)
+        return self.last(torch.nn.functional.conv2d(flow, self.blur, padding=1, groups=len(self.blur)))
+
+
+transformers: Any = import_module("transformers")
+
+_MEAN = (0.48145466, 0.4578275, 0.40821073)
+
+_DEVIATION = (0.26862954, 0.26130258, 0.27577711)
+
+
+def area_resized(pictures: Tensor, side_px: int) -> Tensor:
+    """Resize (b, c, h, w) to a square by means over areas: torch's "area", as two products of matrices.
+
+    Torch's own has a gradient on CUDA that adds up in a different order every time.
+    """
+    rows, columns = (_area_weights(side, side_px).to(pictures) for side in pictures.shape[-2:])
+    return rows @ pictures @ columns.T
+
+
+def _area_weights(of: int, to: int) -> Tensor:
+    """Shares (to, of) of old pixels in new ones."""
+    weights = torch.zeros(to, of)
+    for i in range(to):
+        first, end = i * of // to, -(-(i + 1) * of // to)
+        weights[i, first:end] = 1 / (end - first)
+    return weights
+
+
+def _loaded(place: Path) -> tuple[Any, Any]:
+    """The vision model of a folder, and what was found; without the report on the text model that it would log."""
+    log = transformers.logging
+    said, shown = log.get_verbosity(), log.is_progress_bar_enabled()
+    log.set_verbosity_error()
+    log.disable_progress_bar()
+    try:
+        return transformers.CLIPVisionModelWithProjection.from_pretrained(
+            place, local_files_only=True, output_loading_info=True, ignore_mismatched_sizes=True, dtype=torch.float32
+        )
+    finally:
+        log.set_verbosity(said)
+        if shown:
+            log.enable_progress_bar()
+
+
+def _as_map(tokens: Tensor) -> Tensor:
+    """Tokens (b, 1 + n, c) without the class token, as the square that they cover."""
+    count, tokens_in_all, channels = tokens.shape
+    side = round((tokens_in_all - 1) ** 0.5)
+    return tokens[:, 1:].transpose(1, 2).reshape(count, channels, side, side)
+
+
+# § Differentiable augmentation of what a discriminator sees (Zhao et al. 2020), in plain torch.
+
+_SHIFT = 1 / 8
+"""Farthest translation, as a share of the side."""
+
+_HOLE = 1 / 2
+"""Side of the hole, as a share of the picture's side."""
+
+
+def augmented(pictures: Tensor, kinds: Sequence[str], generator: Any) -> Tensor:
+    """Change pictures (b, 3, h, w) of values -1..1 at random, each in its own way; gradients go through.
+
+    `kinds` are "color", "translation" and "cutout", done in this order. `generator` is torch's, on the CPU, so that
+    the same seed draws the same on every device. What a shift uncovers and a hole leaves is 0, the middle grey.
+    """
+    for kind in ("color", "translation", "cutout"):
+        if kind in kinds:
+            pictures = _KINDS[kind](pictures, generator)
+    return pictures
+
+
+def _color(pictures: Tensor, generator: Any) -> Tensor:
+    """Brightness by up to half the range, saturation 0 to 2, contrast a half to one and a half."""
+    draws = torch.rand(3, len(pictures), 1, 1, 1, generator=generator).to(pictures)
+    pictures = pictures + (draws[0] - 0.5)
+    grey = pictures.mean(1, keepdim=True)
+    pictures = grey + (pictures - grey) * (2 * draws[1])
+    middle = pictures.mean((1, 2, 3), keepdim=True)
+    return middle + (pictures - middle) * (draws[2] + 0.5)
+
+
+def _translation(pictures: Tensor, generator: Any) -> Tensor:
+    count, _, height, width = pictures.shape
+    most = [int(side * _SHIFT + 0.5) for side in (height, width)]
+    down, right = (torch.randint(-by, by + 1, (count,), generator=generator).tolist() for by in most)
+    padded = torch.nn.functional.pad(pictures, (most[1], most[1], most[0], most[0]))
+    cuts = [
+        each[:, most[0] - dy : most[0] - dy + height, most[1] - dx : most[1] - dx + width]
+        for each, dy, dx in zip(padded, down, right, strict=True)
+    ]
+    return torch.stack(cuts)
+
+
+def _cutout(pictures: Tensor, generator: Any) -> Tensor:
+    """A hole whose middle lies anywhere in the picture: at its rim less is cut out."""
+    count, _, height, width = pictures.shape
+    kept = torch.ones(count, 1, height, width)
+    sides = [int(side * _HOLE + 0.5) for side in (height, width)]
+    middles = [torch.randint(0, side + 1, (count,), generator=generator).tolist() for side in (height, width)]
+    for i, (y, x) in enumerate(zip(*middles, strict=True)):
+        top, left = y - sides[0] // 2, x - sides[1] // 2
+        kept[i, :, max(top, 0) : max(top + sides[0], 0), max(left, 0) : max(left + sides[1], 0)] = 0
+    return pictures * kept.to(pictures)
+
+
+_KINDS: dict[str, Any] = {"color": _color, "translation": _translation, "cutout": _cutout}

@@ -1,0 +1,202 @@
+"""The losses of a fine-tuning, iteration by iteration: as a CSV file, and for TensorBoard where it is installed."""
+
+import csv
+import logging
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from io import TextIOWrapper
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from ...safe_io.limits import open_file
+from ...scene.files import whole_file
+
+logger = logging.getLogger("gsrain")
+
+FILE = "losses.csv"
+
+_STEP = "step"
+
+
+class LossLog:
+    """Appends to a folder's files; use it as a context, so that everything is on the disk in the end."""
+
+    def __init__(self, folder: Path, begins_at: int = 0) -> None:
+        """Begin, or go on after so many iterations: what was noted later is forgotten, it comes again."""
+        self._file = folder / FILE
+        self.kept = [row for row in read_losses(self._file) if row[_STEP] <= begins_at] if begins_at else []
+        """What was noted before."""
+        if self.kept:
+            with whole_file(self._file) as beside, beside.open("w", newline="", encoding="utf-8") as stream:
+                _write_rows(stream, self.kept)
+        self._stream = self._file.open("a" if self.kept else "w", newline="", encoding="utf-8")
+        self._rows = csv.DictWriter(self._stream, list(self.kept[0])) if self.kept else None
+        self._board: Any = None
+        if find_spec("tensorboard") is None:
+            logger.info("TensorBoard is not installed: losses go to %s only", self._file)
+        else:
+            writer: Any = import_module("torch.utils.tensorboard").SummaryWriter
+            self._board = writer(str(folder / "tensorboard"), purge_step=begins_at + 1 if begins_at else None)
+
+    def __enter__(self) -> "LossLog":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stream.close()
+        if self._board is not None:
+            self._board.close()
+
+    def add(self, step: int, losses: Mapping[str, float]) -> None:
+        """Note the losses of an iteration; the first one is number 1."""
+        self._write({_STEP: float(step), **losses})
+        if self._board is not None:
+            for name, value in losses.items():
+                self._board.add_scalar(name.replace("_", "/", 1), value, step)
+
+    def show(self, step: int, grid: UInt8[np.ndarray, "h w 3"]) -> None:
+        if self._board is not None:
+            self._board.add_image("samples", grid, step, dataformats="HWC")
+
+    def flush(self) -> None:
+        """Bring what was noted to the disk, for others to read."""
+        self._stream.flush()
+        if self._board is not None:
+            self._board.flush()
+
+    def _write(self, row: Mapping[str, float]) -> None:
+        if self._rows is None:
+            self._rows = _write_rows(self._stream, [row])
+        else:
+            self._rows.writerow(_in_words(row))
+
+
+def _write_rows(stream: TextIO, rows: Sequence[Mapping[str, float]]) -> "csv.DictWriter[str]":
+    writer = csv.DictWriter(stream, list(rows[0]))
+    writer.writeheader()
+    writer.writerows(_in_words(row) for row in rows)
+    return writer
+
+
+def _in_words(row: Mapping[str, float]) -> dict[str, str]:
+    return {name: f"{value:.9g}" for name, value in row.items()}
+
+
+def read_losses(file: Path) -> list[dict[str, float]]:
+    """Read all whole rows of a CSV file of losses, which may still be growing; none where it is missing."""
+    if not file.is_file():
+        return []
+    rows: list[dict[str, float]] = []
+    with TextIOWrapper(open_file(file), newline="", encoding="utf-8") as stream:
+        for row in csv.DictReader(stream):
+            try:
+                rows.append({name: float(value) for name, value in row.items()})
+            except (TypeError, ValueError):
+                break
+    return rows
+
+
+# § Says early when a training goes nowhere: when the model gives back what it is given, or a discriminator has won.
+
+CHANCE = float(3 * np.log(2))
+"""Adversarial loss of three levels where made and real can't be told apart."""
+
+_COUNTED = 64
+"""Pictures of each look that the distance is measured on."""
+
+_RANKS = 256
+
+_STUCK = 0.25
+"""Less of the distance than this, and a model only reconstructs."""
+
+_WON = 0.1
+"""A discriminator whose loss is under this share of chance has won: nothing is learned from it any more."""
+
+_WINDOW = 100
+
+
+def look_distance(
+    source: Iterable[Float32[np.ndarray, "_ _ 3"]], target: Iterable[Float32[np.ndarray, "_ _ 3"]]
+) -> float:
+    """How far apart two sets of pictures of values 0..1 are in their colours alone: a mean over red, green and blue.
+
+    The Wasserstein distance of a channel's values (Villani 2003). No translation of the one look into the other can
+    change pictures by less on average: that is what the distance means.
+    """
+    return float(np.abs(_ranked(source) - _ranked(target)).mean())
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """How a training looks over its last iterations."""
+
+    change: float
+    """Mean change by the translation, as a share of the range of values."""
+    share: float
+    """The same as a share of the distance between the looks: 1 or more where a translation is complete."""
+    warning: str | None
+    """What is wrong, as a sentence or two; None where all is well, or it is too early to tell."""
+
+
+class EarlyWarning:
+    """Watches the losses of a training."""
+
+    def __init__(self, distance: float, gan_weight: float, warned_after: int) -> None:
+        """Take the distance between the looks, the weight within the adversarial losses, and when to speak first."""
+        self.distance = max(distance, 1 / 255)
+        self._gan_weight, self._warned_after = gan_weight, warned_after
+        self._recent: deque[Mapping[str, float]] = deque(maxlen=_WINDOW)
+
+    def add(self, losses: Mapping[str, float]) -> None:
+        self._recent.append(losses)
+
+    def verdict(self, step: int) -> Verdict:
+        """Judge after so many iterations."""
+        if not self._recent:
+            return Verdict(0.0, 0.0, None)
+        mean = {name: sum(each[name] for each in self._recent) / len(self._recent) for name in self._recent[-1]}
+        change = mean["change"]
+        share = change / self.distance
+        if step < self._warned_after:
+            return Verdict(change, share, None)
+        return Verdict(change, share, self._warning(step, mean, share))
+
+    def _warning(self, step: int, mean: Mapping[str, float], share: float) -> str | None:
+        judged = [self._of_chance(mean, look) for look in ("rainy", "clear")] if self._gan_weight else []
+        won = bool(judged) and min(judged) < _WON
+        if share < _STUCK:
+            why = (
+                "the discriminators tell everything apart and teach nothing: lower their rate"
+                if won
+                else "there is no adversarial loss: set losses.gan"
+                if not judged
+                else "raise losses.gan or the rate, lower the losses of LPIPS, and train in float32"
+            )
+            return (
+                f"after {step:,} steps the model only reconstructs: it changes pictures by {mean['change']:.1%} of the "
+                f"range, {share:.0%} of what lies between the two looks; {why}"
+            )
+        if won:
+            return f"after {step:,} steps a discriminator's loss is {min(judged):.0%} of chance: lower its rate"
+        return None
+
+    def _of_chance(self, mean: Mapping[str, float], look: str) -> float:
+        # Each of the two losses holds half the weight: together they are the weight times `CHANCE` there.
+        return (mean[f"judge_{look}_made"] + mean[f"judge_{look}_real"]) / (self._gan_weight * CHANCE)
+
+
+def counted(pictures: Sequence[object]) -> list[int]:
+    """Which pictures of a set the distance is measured on: evenly spread, at most 64."""
+    return np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), _COUNTED)).round().astype(int)).tolist()
+
+
+def _ranked(pictures: Iterable[Float32[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "_ 3"]:
+    """Values of all pictures, each counting the same, at evenly spaced ranks for each channel."""
+    ranks = (np.arange(_RANKS) + 0.5) / _RANKS
+    pooled = np.concatenate([np.quantile(each.reshape(-1, 3), ranks, axis=0) for each in pictures])
+    return np.quantile(pooled, ranks, axis=0).astype(np.float32)

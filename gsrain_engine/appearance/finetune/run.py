@@ -1,0 +1,340 @@
+"""Fine-tunes CycleGAN-Turbo: start or resume, learn, show, save; a generator that may be stopped anywhere.
+
+`session/appearance/transfer_training_work.py` brings LPIPS along, for the command line and the window.
+"""
+
+import logging
+import os
+import time
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from ...render.images import write_picture
+from ...scene.files import holding
+from ...scene.progress import Progress
+from ..cyclegan_turbo.lora import LoraRanks
+from ..cyclegan_turbo.model import build, tiny
+from ..cyclegan_turbo.pretrained import open_model
+from ..cyclegan_turbo.weights import save_weights
+from .checkpoint import Checkpoint, FinetuningCheckpointError, read_checkpoint, write_checkpoint
+from .dataset import Picture, PictureSplit, UnpairedPictures, open_pictures
+from .discriminator import ClipFeatures, Discriminator
+from .loss_log import EarlyWarning, LossLog, counted, look_distance, read_losses
+from .sampler import PictureOrder, fingerprint
+from .settings import FinetuningSettings, write_finetuning
+from .step import Done, Perceptual, Training
+from .task import TrainingResult, TrainingTask, with_warning
+
+torch: Any = import_module("torch")
+
+logger = logging.getLogger("gsrain")
+
+_STARTED, _TRAINED = 0.02, 0.99
+"""Shares of the whole work after which training begins, and is over."""
+
+_SHOWN_EVERY_S = 2.0
+
+_FLUSHED_EVERY_S = 1.0
+
+_RECENT = 100
+"""Iterations that the result's losses are means over."""
+
+
+def finetune(task: TrainingTask, perceptual: Perceptual | None = None) -> Generator[Progress, None, TrainingResult]:
+    """Fine-tune, and write weights, checkpoint, losses, samples and settings into the task's folder.
+
+    Args:
+        task: What to do.
+        perceptual: LPIPS on the device of the task; None leaves its losses out and says so.
+
+    Yields:
+        Progress, at least once an iteration, with a preview now and then. Stopped there, the last checkpoint remains.
+
+    Raises:
+        CaptureError: For pictures that can't be read.
+        FinetuningCheckpointError: When `resume` finds no checkpoint, or one of another training.
+        FileNotFoundError: Where SD-Turbo or CLIP are missing, with how to get them.
+        ValueError: Where what is there doesn't fit, or the folder holds another training.
+        DivergedError: Where the training has come apart.
+        MemoryError: Where the device has too little.
+        HeldError: Where another process writes into the folder.
+    """
+    with holding(task.output):
+        return (yield from _finetuned(task, perceptual))
+
+
+def _finetuned(task: TrainingTask, perceptual: Perceptual | None) -> Generator[Progress, None, TrainingResult]:
+    yield Progress(0.0, "Looking through the pictures")
+    split = open_pictures(task.settings.pictures, task.pictures_cache)
+    for line in (*split.counted(), *split.problems):
+        logger.info("%s", line)
+    if task.checkpoint.is_file() and not task.resume:
+        raise ValueError(f"{task.output}: holds a training already; resume it, or choose another folder")
+    task.samples.mkdir(parents=True, exist_ok=True)
+    yield Progress(0.0, "Building the model")
+    with _repeatable():
+        training = start_finetuning(task.settings, split.train, perceptual)
+        learning = _Learning(task, split, training, perceptual is not None)
+        yield from learning.learn()
+    yield Progress(1.0, "Trained")
+    return learning.result()
+
+
+class _Learning:
+    """One training from its first iteration to its last, with what is noted on the way."""
+
+    def __init__(self, task: TrainingTask, split: PictureSplit, training: Training, perceptual: bool) -> None:
+        self._task, self._split, self._training, self._perceptual = task, split, training, perceptual
+        self._settings = task.settings
+        self._began = time.perf_counter()
+        self._first = 0
+        if task.resume:
+            self._go_on()
+        self._shown = sampled(split.test.source or split.train.source, task.settings.samples)
+        self._warning: EarlyWarning = start_warning(task.settings, split.train)
+        self._told: str | None = None
+        self._previewed_at = self._flushed_at = -np.inf
+        self._grid: Path = task.samples
+        write_finetuning(task.config, task.settings)
+
+    def learn(self) -> Generator[Progress]:
+        settings = self._settings
+        with LossLog(self._task.output, self._first) as log:
+            for row in log.kept[-_RECENT:]:
+                self._warning.add(row)
+            for number in range(self._first, settings.steps):
+                done = self._iterate(number)
+                self._warning.add(done.losses)
+                log.add(number + 1, done.losses)
+                yield self._said(number, self._line(number, done), self._preview(done))
+                if _is_due(settings.sampled_every, number, settings.steps):
+                    grid = self._sample(number)
+                    log.show(number + 1, grid)
+                    yield self._said(number, f"Samples after {number + 1:,} iterations", grid)
+                if _is_due(settings.saved_every, number, settings.steps):
+                    log.flush()  # first: who goes on from the checkpoint has the losses before it
+                    self._save(number + 1)
+                    yield self._said(number, f"Saved {self._task.checkpoint.name}")
+                if (now := time.perf_counter()) - self._flushed_at > _FLUSHED_EVERY_S:
+                    log.flush()
+                    self._flushed_at = now
+
+    def _iterate(self, number: int) -> Done:
+        try:
+            return self._training.iterate(number)
+        except RuntimeError as error:
+            if "out of memory" not in str(error):
+                raise
+            spare = (
+                "" if self._settings.gradient_checkpointing else "gradient_checkpointing: true needs less, and so do "
+            )
+            raise MemoryError(f"too little memory for this training: {spare}smaller pictures ({error})") from None
+
+    def result(self) -> TrainingResult:
+        recent = read_losses(self._task.losses)[-_RECENT:]
+        names = [name for name in recent[-1] if name != "step"]
+        verdict = self._warning.verdict(self._settings.steps)
+        return TrainingResult(
+            weights=self._task.weights,
+            grid=self._grid,
+            steps=self._settings.steps,
+            seconds=self._seconds,
+            losses={name: sum(row[name] for row in recent) / len(recent) for name in names},
+            share=verdict.share,
+            warning=verdict.warning,
+            perceptual=self._perceptual,
+            table=self._split.table,
+            problems=self._split.problems,
+        )
+
+    def _go_on(self) -> None:
+        file = self._task.checkpoint
+        checkpoint = read_checkpoint(file, self._settings, self._pictures, self._perceptual)
+        if checkpoint.step >= self._settings.steps:
+            raise FinetuningCheckpointError(f"{file}: {checkpoint.step:,} iterations are done; ask for more with steps")
+        try:
+            self._training.restore(checkpoint.tensors)
+        except (KeyError, RuntimeError) as error:
+            raise FinetuningCheckpointError(f"{file}: doesn't fit the model: {error}") from None
+        self._first = checkpoint.step
+        self._began -= checkpoint.seconds
+
+    def _save(self, step: int) -> None:
+        checkpoint = Checkpoint(step, self._seconds, self._training.state(), self._perceptual)
+        write_checkpoint(self._task.checkpoint, checkpoint, self._settings, self._pictures)
+        save_weights(self._training.model, self._task.weights)
+
+    def _sample(self, number: int) -> UInt8[np.ndarray, "h w 3"]:
+        grid = sample_grid(self._training, self._shown)
+        self._grid = self._task.samples / f"step_{number + 1:06d}.png"
+        write_picture(self._grid, grid)
+        return grid
+
+    def _line(self, number: int, done: Done) -> str:
+        """Say what an iteration did; a warning once, when it comes up, in the log too."""
+        verdict = self._warning.verdict(number + 1)
+        if verdict.warning is not None and self._told is None:
+            logger.warning("%s", verdict.warning)
+        self._told = verdict.warning
+        losses = done.losses
+        cycle, deceit = (losses[f"{kind}_clear"] + losses[f"{kind}_rainy"] for kind in ("cycle", "gan"))
+        told = (
+            f"{number + 1:,} of {self._settings.steps:,}: cycle {cycle:.3f}, GAN {deceit:.2f}, "
+            f"changes {verdict.share:.0%} of what lies between the looks"
+        )
+        return with_warning(told, verdict.warning)
+
+    def _preview(self, done: Done) -> UInt8[np.ndarray, "h w 3"] | None:
+        now = time.perf_counter()
+        if now - self._previewed_at < _SHOWN_EVERY_S:
+            return None
+        self._previewed_at = now
+        return beside(done.clear, done.translated)
+
+    def _said(self, number: int, message: str, preview: UInt8[np.ndarray, "h w 3"] | None = None) -> Progress:
+        share = (number + 1) / self._settings.steps
+        return Progress(_STARTED + (_TRAINED - _STARTED) * share, message, preview)
+
+    @property
+    def _seconds(self) -> float:
+        return time.perf_counter() - self._began
+
+    @property
+    def _pictures(self) -> str:
+        return fingerprint(self._split.train)
+
+
+def _is_due(every: int, number: int, steps: int) -> bool:
+    return number + 1 == steps or (every > 0 and (number + 1) % every == 0)
+
+
+@contextmanager
+def _repeatable() -> Generator[None]:
+    """Let torch take ways that give the same bytes every time; on the processor it does so anyway."""
+    if not torch.cuda.is_available():
+        yield
+        return
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # read when its first product is worked out
+    before = torch.are_deterministic_algorithms_enabled()
+    torch.use_deterministic_algorithms(True, warn_only=True)
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(before)
+
+
+# § Puts a fine-tuning together: pictures, model, discriminators, and what they are measured with.
+
+_TINY_CHANNELS = 32
+
+_DISTANCE_PX = 64
+
+
+def chosen_device(name: str) -> str:
+    """Device of a setting. Raises ValueError where CUDA is asked for and not there."""
+    has_cuda = bool(torch.cuda.is_available())
+    if name == "cuda" and not has_cuda:
+        raise ValueError("device cuda: no CUDA device is there; take cpu or auto")
+    return "cuda" if name != "cpu" and has_cuda else "cpu"
+
+
+def start_finetuning(
+    settings: FinetuningSettings, pictures: UnpairedPictures, perceptual: Perceptual | None = None
+) -> Training:
+    """Build everything, from the seed where it is new.
+
+    Raises:
+        FileNotFoundError: Where SD-Turbo, CLIP or the weights to start from are missing, with how to get them.
+        ValueError: Where one of them is of another architecture, or CUDA isn't there.
+    """
+    device = chosen_device(settings.device)
+    guided = settings.pictures.guide != "none"
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(settings.seed)
+        model = _model(settings, guided).to(device)
+        features, channels = _features(settings), _TINY_CHANNELS if settings.architecture == "tiny" else 256
+        judges = [Discriminator(features.to(device), settings.augmentations, channels).to(device) for _ in range(2)]
+    if perceptual is None and (settings.losses.cycle_lpips or settings.losses.identity_lpips):
+        logger.warning(
+            "LPIPS has no weights here: its losses, most of the recipe, are OFF, and what comes out will be blurred; "
+            "`gsrain doctor` says how to get them"
+        )
+    order = PictureOrder(pictures, settings.seed, guided, device)
+    return Training(model, (judges[0], judges[1]), order, settings, perceptual)
+
+
+def start_warning(settings: FinetuningSettings, pictures: UnpairedPictures) -> EarlyWarning:
+    """Measure how far apart the two looks are, for the early warning."""
+    distance = look_distance(_small(pictures.source), _small(pictures.target))
+    return EarlyWarning(distance, settings.losses.gan, settings.warned_after)
+
+
+def _model(settings: FinetuningSettings, guided: bool) -> Any:
+    ranks = LoraRanks(settings.lora.unet, settings.lora.vae)
+    if settings.architecture == "tiny" and settings.start is None:
+        return build(tiny(), normals=guided, lora=ranks, seed=settings.seed)
+    start, base = (None if each is None else Path(each) for each in (settings.start, settings.base))
+    model = open_model(start, base, normals=guided, lora=ranks)
+    if model.architecture.name != settings.architecture:
+        raise ValueError(
+            f"{start}: is of architecture {model.architecture.name}, the settings say {settings.architecture}"
+        )
+    return model
+
+
+def _features(settings: FinetuningSettings) -> ClipFeatures:
+    if settings.architecture == "tiny" and settings.clip is None:
+        return ClipFeatures.tiny()
+    return ClipFeatures.read(None if settings.clip is None else Path(settings.clip))
+
+
+def _small(pictures: tuple[Picture, ...]) -> Iterator[Float32[np.ndarray, "_ _ 3"]]:
+    """Some of the pictures, thinned: their colours are what counts."""
+    for i in counted(pictures):
+        image = pictures[i].read()[0]
+        step = max(1, max(image.shape) // _DISTANCE_PX)
+        yield image[::step, ::step]
+
+
+# § Pictures to judge a fine-tuning by: the same clear ones every time, translated and back again.
+
+Tensor = Any
+
+_GAP_PX = 4
+
+
+def sampled(pictures: Sequence[Picture], count: int) -> tuple[Picture, ...]:
+    """Choose the pictures that are shown: so many, evenly spread."""
+    places = np.unique(np.linspace(0, len(pictures) - 1, min(count, len(pictures))).round().astype(int))
+    return tuple(pictures[int(i)] for i in places)
+
+
+def sample_grid(training: Training, pictures: tuple[Picture, ...]) -> UInt8[np.ndarray, "h w 3"]:
+    """A row a picture: clear, made rainy, made clear again."""
+    rows = [_row(training, each) for each in pictures]
+    gap = np.full((_GAP_PX, rows[0].shape[1], 3), 255, np.uint8)
+    return np.concatenate([part for row in rows for part in (row, gap)][:-1])
+
+
+def beside(*pictures: Tensor) -> UInt8[np.ndarray, "h w 3"]:
+    """Put (1, 3, h, w) pictures of values -1..1 side by side."""
+    shown = [_pixels(each) for each in pictures]
+    gap = np.full((shown[0].shape[0], _GAP_PX, 3), 255, np.uint8)
+    return np.concatenate([part for each in shown for part in (each, gap)][:-1], axis=1)
+
+
+def _row(training: Training, picture: Picture) -> UInt8[np.ndarray, "h w 3"]:
+    clear, guide = training.order.read(picture)
+    rainy = training.translated(clear, guide, "a2b")
+    return beside(clear, rainy, training.translated(rainy, guide, "b2a"))
+
+
+def _pixels(picture: Tensor) -> UInt8[np.ndarray, "h w 3"]:
+    scaled = (picture[0].detach().float().permute(1, 2, 0) * 127.5 + 128).clamp(0, 255)
+    return scaled.to(torch.uint8).cpu().numpy()

@@ -1,0 +1,204 @@
+"""What a person can choose about a fine-tuning of CycleGAN-Turbo: one value, which is also its YAML and its help."""
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_type_hints
+
+import msgspec
+from msgspec import Meta, Struct
+
+from ...presets import load_values, shipped_names
+from ...safe_io.errors import converted
+from ..cyclegan_turbo.weight_paths import data_folder, hub_snapshots
+from ..dsine_checkout import check_checkout, checkout_code
+from .dataset import PictureSettings
+
+Weight = Annotated[float, Meta(ge=0, le=100)]
+
+
+class LossWeights(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How much each loss counts. The paper's three; those of LPIPS, where it is silent, are CycleGAN-Turbo's."""
+
+    cycle: Annotated[Weight, Meta(title="Cycle", description="Mean difference after there and back again.")] = 1.0
+    cycle_lpips: Annotated[Weight, Meta(title="Cycle, LPIPS", description="The same, as LPIPS sees it.")] = 10.0
+    identity: Annotated[
+        Weight, Meta(title="Identity", description="Mean difference of a picture that is already of the other look.")
+    ] = 1.0
+    identity_lpips: Annotated[Weight, Meta(title="Identity, LPIPS", description="The same, as LPIPS sees it.")] = 1.0
+    gan: Annotated[Weight, Meta(title="GAN", description="What the discriminators tell apart.")] = 0.5
+
+
+class OptimizerSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """AdamW (Loshchilov and Hutter 2019), of the generator and of the discriminators."""
+
+    rate: Annotated[float, Meta(gt=0, le=1, title="Learning rate", description="Of the generator.")] = 1e-5
+    discriminator_rate: Annotated[
+        Annotated[float, Meta(gt=0, le=1)] | None,
+        Meta(title="Discriminators' rate", description="Their learning rate; none: the generator's."),
+    ] = None
+    warmup_steps: Annotated[
+        int, Meta(ge=0, title="Warm-up", description="Iterations in which the rates rise evenly; constant afterwards.")
+    ] = 0
+    beta_1: Annotated[float, Meta(ge=0, lt=1, title="Beta 1", description="Memory of the gradient's mean.")] = 0.9
+    beta_2: Annotated[float, Meta(ge=0, lt=1, title="Beta 2", description="Memory of its square.")] = 0.999
+    epsilon: Annotated[float, Meta(gt=0, le=1, title="Epsilon", description="Added to the square's root.")] = 1e-8
+    weight_decay: Annotated[
+        float,
+        Meta(ge=0, le=1, title="Weight decay", description="Of what starts at nothing; pretrained layers have none."),
+    ] = 1e-2
+    clip_norm: Annotated[float, Meta(gt=0, title="Clipping", description="Longest gradient of all numbers.")] = 10.0
+
+
+class LoraSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Size of what is learned (Hu et al. 2022)."""
+
+    unet: Annotated[int, Meta(ge=1, le=1024, title="UNet rank", description="Of each layer's LoRA.")] = 128
+    vae: Annotated[int, Meta(ge=1, le=1024, title="VAE rank", description="Of each layer's LoRA.")] = 4
+
+
+class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How CycleGAN-Turbo is fine-tuned. The defaults are the paper's recipe; batches hold one picture of each look."""
+
+    pictures: Annotated[PictureSettings, Meta(title="Pictures")]
+    architecture: Annotated[
+        Literal["sd-turbo", "tiny"],
+        Meta(title="Architecture", description="tiny: the same layers, hardly any channels, to try a recipe on."),
+    ] = "sd-turbo"
+    base: Annotated[
+        str | None,
+        Meta(title="SD-Turbo", description="Folder of SD-Turbo; none: found by GSRAIN_SD_TURBO or the hub's cache."),
+    ] = None
+    clip: Annotated[
+        str | None,
+        Meta(
+            title="CLIP", description="Folder of CLIP ViT-B/32, by which discriminators see; none: found like SD-Turbo."
+        ),
+    ] = None
+    lpips: Annotated[
+        str | None, Meta(title="LPIPS", description="File of LPIPS's VGG weights; none: those of this machine, if any.")
+    ] = None
+    start: Annotated[
+        str | None,
+        Meta(title="Start", description="Weights to go on from, such as clear2rainy.pkl; none: SD-Turbo itself."),
+    ] = None
+    steps: Annotated[
+        int, Meta(ge=1, le=10_000_000, title="Steps", description="Iterations, each with one picture of each look.")
+    ] = 20_000
+    losses: Annotated[LossWeights, Meta(title="Losses")] = LossWeights()
+    optimizer: Annotated[OptimizerSettings, Meta(title="Optimizer")] = OptimizerSettings()
+    lora: Annotated[LoraSettings, Meta(title="LoRA")] = LoraSettings()
+    augmentations: Annotated[
+        tuple[Literal["color", "translation", "cutout"], ...],
+        Meta(title="Augmentations", description="Done to whatever a discriminator sees, made and real alike."),
+    ] = ("color", "translation", "cutout")
+    gradient_checkpointing: Annotated[
+        bool, Meta(title="Gradient checkpointing", description="Less memory for a third more time; the same numbers.")
+    ] = False
+    precision: Annotated[
+        Literal["float32", "bfloat16"],
+        Meta(
+            title="Precision",
+            description="bfloat16 halves memory, but is known to end in models that only reconstruct: their first "
+            "changes are smaller than its steps.",
+        ),
+    ] = "float32"
+    seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Same seed, same bytes.")] = 0
+    device: Annotated[
+        Literal["auto", "cpu", "cuda"], Meta(title="Device", description="auto: CUDA where it is there.")
+    ] = "auto"
+    samples: Annotated[
+        int, Meta(ge=1, le=16, title="Samples", description="So many clear pictures, of those for testing, are shown.")
+    ] = 4
+    sampled_every: Annotated[
+        int, Meta(ge=0, title="Sampled every", description="Steps between grids of samples; 0: only at the end.")
+    ] = 250
+    saved_every: Annotated[
+        int, Meta(ge=0, title="Saved every", description="Steps between checkpoints; 0: only at the end.")
+    ] = 500
+    warned_after: Annotated[
+        int, Meta(ge=1, title="Warned after", description="Steps after which a model that only reconstructs is named.")
+    ] = 500
+
+
+# § Reads the settings of a fine-tuning: shipped ones by name, a person's by path, with changes on top.
+
+_FOLDER = "finetune"
+
+_FILES = ("path", "normals_weights", "normals_checkout", "base", "clip", "lpips", "start")
+"""Fields that name files."""
+
+
+def load_finetuning(name: str | Path, **changes: Any) -> FinetuningSettings:
+    """Read settings, and change some; changes that are None are passed over.
+
+    Files that it names are looked for in its own folder first, then in the working folder. Raises ValueError with the
+    file or option, the field and what is allowed; `UntrustedCodeError` where they name a program that no person has
+    allowed to run.
+    """
+    values = load_values(_FOLDER, name, "settings", _FILES)
+    changed = {key: value for key, value in changes.items() if value is not None}
+    if isinstance(pictures := values.get("pictures", {}), dict):
+        sources = {look: changed.pop(look) for look in ("clear", "rainy") if look in changed}
+        values["pictures"] = pictures | sources
+    try:
+        settings: FinetuningSettings = converted(values | changed, FinetuningSettings)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+    check_checkout(name, settings.pictures.normals, settings.pictures.normals_checkout)
+    return settings
+
+
+def code_of(settings: FinetuningSettings) -> dict[str, str]:
+    """Digests of the Python that settings name, by its absolute path: for the process that runs it."""
+    pictures = settings.pictures
+    if pictures.normals != "dsine" or pictures.normals_checkout is None:
+        return {}
+    code = checkout_code(Path(pictures.normals_checkout))
+    return {str(code.path): code.digest}
+
+
+def finetuning_help(name: str) -> str:
+    """Description of a setting, for the help of a command that changes it."""
+    hint = get_type_hints(FinetuningSettings, include_extras=True)[name]
+    return f"{hint.__metadata__[-1].description} Default: what CONFIG says."
+
+
+def finetuning_names() -> list[str]:
+    return shipped_names(_FOLDER)
+
+
+def write_finetuning(file: Path, settings: FinetuningSettings) -> None:
+    """Write settings as a YAML file that `load_finetuning` reads."""
+    file.write_bytes(msgspec.yaml.encode(settings))
+
+
+# § Where CLIP's vision model, by which discriminators see, is looked for, and how to get it. Needs no torch.
+
+PLACE = "GSRAIN_CLIP"
+"""Environment variable with the folder of CLIP ViT-B/32 in the layout of transformers."""
+
+_HUB_NAME = "openai/clip-vit-base-patch32"
+
+_OWN = "clip-vit-base-patch32"
+
+
+def clip_places() -> tuple[Path, ...]:
+    """Folders in which it may lie: that of GSRAIN_CLIP if set, else the data folder and Hugging Face's cache."""
+    own = os.environ.get(PLACE)
+    return (Path(own),) if own else (data_folder() / _OWN, *hub_snapshots(_HUB_NAME))
+
+
+def find_clip(folder: Path | None = None) -> Path:
+    """Find the folder: the given one, or the first place that has it.
+
+    Raises FileNotFoundError, with where it was looked for and how to get it.
+    """
+    places = clip_places() if folder is None else (folder,)
+    for place in places:
+        if (place / "config.json").is_file():
+            return place
+    looked = " and ".join(map(str, places))
+    raise FileNotFoundError(
+        f"no CLIP ViT-B/32 (config.json) at {looked}: hf download {_HUB_NAME} --local-dir {data_folder() / _OWN} "
+        f"(600 MB; huggingface-cli download in older versions), or set {PLACE}"
+    )

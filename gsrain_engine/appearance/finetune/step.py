@@ -1,0 +1,356 @@
+"""One iteration of CycleGAN-Turbo's training (Parmar et al. 2024; Zhu et al. 2017), and what it leaves behind."""
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Literal
+
+from .discriminator import Discriminator
+from .sampler import Pair, PictureOrder
+from .settings import FinetuningSettings, OptimizerSettings
+
+torch: Any = import_module("torch")
+
+Tensor = Any
+
+Direction = Literal["a2b", "b2a"]
+"""a is clear, b is rainy."""
+
+_GENERATOR, _DISCRIMINATORS = "generator", "discriminators"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Done:
+    """What an iteration did."""
+
+    losses: dict[str, float]
+    """Weighted losses by name, and "change": mean |a2b(clear) - clear| as a share of the range of values."""
+    clear: Tensor
+    translated: Tensor
+    """(1, 3, h, w) of values -1..1, both."""
+
+
+# § The losses of CycleGAN-Turbo (Parmar et al. 2024): adversarial at several levels, and pictures against pictures.
+
+Perceptual = Callable[[Tensor, Tensor], Tensor]
+"""Distance of two batches (b, 3, h, w) of values -1..1 as eyes see it, a scalar; LPIPS is one."""
+
+
+class Training:
+    """What a training changes, and how: the generator's three steps of an iteration, then the discriminators' two.
+
+    As in the published code the cycle, the adversarial and the identity loss each get a step of their own, with moments
+    in common: one graph of one direction is in memory at a time. In a cycle the guide of a picture serves both ways:
+    rain changes looks, not surfaces. The discriminators only see colours.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        discriminators: tuple[Discriminator, Discriminator],
+        order: PictureOrder,
+        settings: FinetuningSettings,
+        perceptual: Perceptual | None = None,
+    ) -> None:
+        """Take a model with LoRA layers, what tells rainy from made rainy, what tells clear from made clear."""
+        self.model, self.order = model, order
+        self.rainy_judge, self.clear_judge = discriminators
+        self._settings, self._perceptual = settings, perceptual
+        optimizer = settings.optimizer
+        self._generator = NamedOptimizer(optimizer, optimizer.rate, *trained_parameters(model))
+        own = {
+            f"{kind}.{name}": parameter
+            for kind, judge in (("rainy", self.rainy_judge), ("clear", self.clear_judge))
+            for name, parameter in judge.named_parameters()
+        }
+        rate = optimizer.rate if optimizer.discriminator_rate is None else optimizer.discriminator_rate
+        self._judges = NamedOptimizer(optimizer, rate, own)
+        if settings.gradient_checkpointing:
+            for part in (model.unet, model.vae, model.vae_b2a):
+                part.enable_gradient_checkpointing()
+
+    def iterate(self, number: int) -> Done:
+        """Learn from one pair of pictures. Raises `DivergedError` where a gradient is no number any more."""
+        pair, random = self.order.pair(number), self.order.generator(number)
+        held_still((self.rainy_judge, self.clear_judge), True)
+        losses = self._learn_cycles(pair, number)
+        deceived, made_rainy, made_clear = self._learn_to_deceive(pair, number, random)
+        losses |= deceived | self._learn_identity(pair, number)
+        held_still((self.rainy_judge, self.clear_judge), False)
+        losses |= self._learn_to_judge(pair, made_rainy, made_clear, number, random)
+        losses["change"] = float((made_rainy - pair.clear).abs().mean()) / 2
+        return Done(losses, pair.clear, made_rainy)
+
+    def translated(self, pictures: Tensor, guides: Tensor | None, direction: Direction) -> Tensor:
+        """Translate without learning."""
+        with torch.no_grad(), self._precision():
+            return self.model.translate(pictures, guides, direction).float()
+
+    def state(self) -> dict[str, Any]:
+        """Return everything that the training goes on from, as tensors by name."""
+        arrays = _under(f"{_GENERATOR}:weights", state_of(self._generator.parameters))
+        arrays |= _under(f"{_GENERATOR}:moments", self._generator.state())
+        arrays |= _under(f"{_DISCRIMINATORS}:moments", self._judges.state())
+        for kind, judge in (("rainy", self.rainy_judge), ("clear", self.clear_judge)):
+            weights = {name: tensor.detach().cpu().clone() for name, tensor in judge.state_dict().items()}
+            arrays |= _under(f"{_DISCRIMINATORS}:{kind}", weights)
+        return arrays
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Go back to what `state` returned; raises KeyError or RuntimeError where something is missing or odd."""
+        restore(self._generator.parameters, _of(arrays, f"{_GENERATOR}:weights"))
+        self._generator.restore(_of(arrays, f"{_GENERATOR}:moments"))
+        self._judges.restore(_of(arrays, f"{_DISCRIMINATORS}:moments"))
+        self.rainy_judge.load_state_dict(_of(arrays, f"{_DISCRIMINATORS}:rainy"))
+        self.clear_judge.load_state_dict(_of(arrays, f"{_DISCRIMINATORS}:clear"))
+
+    def _learn_cycles(self, pair: Pair, number: int) -> dict[str, float]:
+        weights = self._settings.losses
+        losses: dict[str, float] = {}
+        for name, picture, guide, way in (
+            ("cycle_clear", pair.clear, pair.clear_guide, ("a2b", "b2a")),
+            ("cycle_rainy", pair.rainy, pair.rainy_guide, ("b2a", "a2b")),
+        ):
+            there = self._translate(picture, guide, way[0])
+            back = self._translate(there, guide, way[1])
+            loss = difference(back, picture, weights.cycle, weights.cycle_lpips, self._perceptual)
+            losses[name] = _learn_from(loss)
+        self._generator.step(number)
+        return losses
+
+    def _learn_to_deceive(self, pair: Pair, number: int, random: Any) -> tuple[dict[str, float], Tensor, Tensor]:
+        losses: dict[str, float] = {}
+        made: list[Tensor] = []
+        for name, judge, picture, guide, direction in (
+            ("gan_rainy", self.rainy_judge, pair.clear, pair.clear_guide, "a2b"),
+            ("gan_clear", self.clear_judge, pair.rainy, pair.rainy_guide, "b2a"),
+        ):
+            made.append(self._translate(picture, guide, direction))
+            loss = adversarial(judge(made[-1], random), real=True) * self._settings.losses.gan
+            losses[name] = _learn_from(loss)
+        self._generator.step(number)
+        return losses, made[0].detach(), made[1].detach()
+
+    def _learn_identity(self, pair: Pair, number: int) -> dict[str, float]:
+        """A rainy picture made rainy, and a clear one made clear, stay as they are."""
+        weights = self._settings.losses
+        losses: dict[str, float] = {}
+        for name, picture, guide, direction in (
+            ("identity_rainy", pair.rainy, pair.rainy_guide, "a2b"),
+            ("identity_clear", pair.clear, pair.clear_guide, "b2a"),
+        ):
+            same = self._translate(picture, guide, direction)
+            loss = difference(same, picture, weights.identity, weights.identity_lpips, self._perceptual)
+            losses[name] = _learn_from(loss)
+        self._generator.step(number)
+        return losses
+
+    def _learn_to_judge(
+        self, pair: Pair, made_rainy: Tensor, made_clear: Tensor, number: int, random: Any
+    ) -> dict[str, float]:
+        losses: dict[str, float] = {}
+        self._judges.begin()
+        for kind, real, rainy, clear in (
+            ("made", False, made_rainy, made_clear),
+            ("real", True, pair.rainy, pair.clear),
+        ):
+            for look, judge, picture in (("rainy", self.rainy_judge, rainy), ("clear", self.clear_judge, clear)):
+                # Half each: the mean over the two discriminators, as in the published code.
+                loss = adversarial(judge(picture, random), real) * (0.5 * self._settings.losses.gan)
+                losses[f"judge_{look}_{kind}"] = _learn_from(loss)
+            self._judges.step(number)
+        return losses
+
+    def _translate(self, pictures: Tensor, guides: Tensor | None, direction: str) -> Tensor:
+        with self._precision():
+            translated = self.model.translate(pictures, guides, direction)
+        return translated.float()
+
+    def _precision(self) -> AbstractContextManager[Any]:
+        if self._settings.precision == "float32":
+            return nullcontext()
+        device = next(iter(self._generator.parameters.values())).device.type
+        return torch.autocast(device, torch.bfloat16)
+
+
+def _learn_from(loss: Tensor) -> float:
+    """Leave the gradients of a loss where they belong, and free its graph."""
+    loss.backward()
+    return float(loss.detach())
+
+
+def _under(kind: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
+    return {f"{kind}:{name}": array for name, array in arrays.items()}
+
+
+def _of(arrays: Mapping[str, Any], kind: str) -> dict[str, Any]:
+    prefix = f"{kind}:"
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
+def adversarial(logits: Sequence[Tensor], real: bool) -> Tensor:
+    """Sum over the levels of the mean cross-entropy of logits with "real" or "made" (multilevel sigmoid loss).
+
+    A generator minimizes it with `real` for what it made.
+    """
+    losses = [torch.nn.functional.softplus(-each if real else each).mean() for each in logits]
+    return torch.stack(losses).sum()
+
+
+def difference(
+    shown: Tensor, truth: Tensor, weight: float, perceptual_weight: float, perceptual: Perceptual | None
+) -> Tensor:
+    """Weighted mean absolute difference of pictures of values -1..1, plus the weighted perceptual one, if any."""
+    loss = weight * (shown - truth).abs().mean()
+    if perceptual is not None and perceptual_weight > 0:
+        loss = loss + perceptual_weight * perceptual(shown, truth)
+    return loss
+
+
+# § Which numbers of CycleGAN-Turbo are learned, and how a pretrained layer is held where only a part of it may move.
+
+Parameter = Any
+
+_LORA = re.compile(r"\.lora_(A|B|embedding_A|embedding_B)\.")
+
+_SKIP = re.compile(r"^vae(_b2a)?\.decoder\.skip_conv_\d+\.(base_layer\.)?weight$")
+
+_UNET_INPUT = re.compile(r"^unet\.conv_in\.(base_layer\.)?(weight|bias)$")
+
+_ENCODER_INPUT = re.compile(r"^vae(_b2a)?\.encoder\.conv_in\.(base_layer\.)?weight$")
+
+_COLORS = 3
+
+
+def trained_parameters(model: Any) -> tuple[dict[str, Parameter], dict[str, Parameter]]:
+    """Choose what is learned, by name, and freeze the rest: what may decay towards nothing, and what may not.
+
+    The published code trains every LoRA, the UNet's first convolution and the skip convolutions; but adding the
+    adapters freezes the skips again, and its checkpoints lose the first convolution. Here:
+
+    * every LoRA, and the skip convolutions, which start at nothing too: with weight decay, which pulls back to the
+      pretrained model;
+    * the UNet's first convolution, and of each encoder's first convolution the columns of the guide, which a LoRA of
+      low rank would squeeze: without decay, which would pull away from the pretrained model.
+
+    All of them are in what `save_weights` writes. Raises ValueError where a model has no LoRA to train.
+    """
+    model.requires_grad_(False)
+    decaying: dict[str, Parameter] = {}
+    held: dict[str, Parameter] = {}
+    for name, parameter in model.named_parameters():
+        if _LORA.search(name) or _SKIP.match(name):
+            decaying[name] = parameter
+        elif _UNET_INPUT.match(name):
+            held[name] = parameter
+        elif _ENCODER_INPUT.match(name) and parameter.shape[1] > _COLORS:
+            held[name] = parameter
+            parameter.requires_grad_(True).register_hook(_only_guide)
+    if not any(_LORA.search(name) for name in decaying):
+        raise ValueError("the model has no LoRA layers: build it with LoRA ranks to train it")
+    for parameter in (*decaying.values(), *held.values()):
+        parameter.requires_grad_(True)
+    return decaying, held
+
+
+def state_of(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+    """Copies of parameters, on the processor, by name."""
+    return {name: parameter.detach().cpu().clone() for name, parameter in parameters.items()}
+
+
+def restore(parameters: Mapping[str, Parameter], arrays: Mapping[str, Any]) -> None:
+    """Put back what `state_of` returned; raises KeyError where a name is missing."""
+    with torch.no_grad():
+        for name, parameter in parameters.items():
+            parameter.copy_(arrays[name])
+
+
+def _only_guide(gradient: Any) -> Any:
+    """Hold the columns of the colours: without gradient and without decay AdamW leaves every bit of them."""
+    gradient = gradient.clone()
+    gradient[:, :_COLORS] = 0
+    return gradient
+
+
+# § AdamW over named parameters, with clipping and a warm-up that counts iterations, and all of its state by name.
+
+_MOMENTS = ("step", "exp_avg", "exp_avg_sq")
+
+
+class DivergedError(ValueError):
+    """A training has come apart: a gradient is no number any more."""
+
+
+class NamedOptimizer:
+    """One AdamW. Parameters in `decaying` are pulled towards nothing, those in `held` are not."""
+
+    def __init__(
+        self,
+        settings: OptimizerSettings,
+        rate: float,
+        decaying: Mapping[str, Parameter],
+        held: Mapping[str, Parameter] | None = None,
+    ) -> None:
+        self.parameters = {**decaying, **(held or {})}
+        self._rate, self._warmup, self._clip = rate, settings.warmup_steps, settings.clip_norm
+        groups = [{"params": list(decaying.values())}, {"params": list((held or {}).values()), "weight_decay": 0.0}]
+        self._adam = torch.optim.AdamW(
+            [group for group in groups if group["params"]],
+            lr=rate,
+            betas=(settings.beta_1, settings.beta_2),
+            eps=settings.epsilon,
+            weight_decay=settings.weight_decay,
+            fused=True,  # one pass over hundreds of small tensors
+        )
+
+    def begin(self) -> None:
+        self._adam.zero_grad(set_to_none=True)
+
+    def step(self, iteration: int) -> float:
+        """Clip, move, and forget the gradients; returns the gradient's length before clipping.
+
+        The rate follows from the iteration alone, however many of its steps an iteration takes: the published code
+        moved its schedule on with each of them. Raises `DivergedError` where the gradient is no number: nothing has
+        moved then.
+        """
+        for group in self._adam.param_groups:
+            group["lr"] = self._rate * min(1.0, (iteration + 1) / max(self._warmup, 1))
+        length = float(torch.nn.utils.clip_grad_norm_(self.parameters.values(), self._clip))
+        if not length < float("inf"):
+            raise DivergedError(
+                f"iteration {iteration + 1}: the gradient's length is {length}; lower the rate, and start from the "
+                "weights that were saved last"
+            )
+        self._adam.step()
+        self.begin()
+        return length
+
+    def state(self) -> dict[str, Any]:
+        """Return all moments, on the processor, as "moment:parameter"; nothing before the first step."""
+        return {
+            f"{moment}:{name}": self._adam.state[parameter][moment].detach().cpu().clone()
+            for name, parameter in self.parameters.items()
+            if parameter in self._adam.state
+            for moment in _MOMENTS
+        }
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Put back what `state` returned; raises KeyError where a part of a parameter's moments is missing."""
+        self._adam.state.clear()
+        for name, parameter in self.parameters.items():
+            if f"step:{name}" not in arrays:
+                continue
+            moments = {moment: arrays[f"{moment}:{name}"] for moment in _MOMENTS}
+            self._adam.state[parameter] = {
+                "step": moments["step"].to(parameter.device).clone(),
+                "exp_avg": moments["exp_avg"].to(parameter).clone(),
+                "exp_avg_sq": moments["exp_avg_sq"].to(parameter).clone(),
+            }
+
+
+def held_still(modules: Iterable[Any], still: bool) -> None:
+    """Let gradients pass through modules without leaving any in them, or end that."""
+    for module in modules:
+        module.requires_grad_(not still)

@@ -1,0 +1,101 @@
+"""Normals by DSINE (Bae and Davison 2024), run from the person's own copy of its program and weights.
+
+Its licence (Imperial College) allows non-commercial use only and no passing on: neither is part of this program. Its
+axes: x right, y down, z forward, normals away from the eye; turned to the world and towards the eye here.
+"""
+
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from ..safe_io.limits import open_file
+from ..scene.camera import Camera
+from .dsine_checkout import dsine_module
+from .normals import from_right_down_outward, from_right_up_backward
+
+torch: Any = import_module("torch")
+
+SIDE_PX = 32
+"""Both sides of what it sees are multiples of this."""
+
+_MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""ImageNet's, of display colour 0..1."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DsineNormals:
+    """DSINE's module: `module(picture, intrins=(1, 3, 3))` gives a list whose last is (1, 3 or more, h, w)."""
+
+    module: Any
+    device: str = "cpu"
+
+    def normals(self, image: Float32[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
+        """Return unit world normals (z up) towards the eye of a display picture, 0..1."""
+        height, width = image.shape[:2]
+        left, top = -width % SIDE_PX // 2, -height % SIDE_PX // 2
+        right, bottom = -width % SIDE_PX - left, -height % SIDE_PX - top
+        picture = torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1)[None].to(self.device)
+        # Black is added before the colours are normalized: the border is what black pixels are to the network.
+        padded = torch.nn.functional.pad(picture, (left, right, top, bottom))
+        mean, deviation = (torch.tensor(v, device=self.device)[:, None, None] for v in (_MEAN, _DEVIATION))
+        # Its pixels have their centres at whole numbers, ours at halves.
+        cx, cy = camera.cx - 0.5 + left, camera.cy - 0.5 + top
+        intrinsics = torch.tensor([[[camera.fx, 0, cx], [0, camera.fy, cy], [0, 0, 1]]], device=self.device)
+        with torch.inference_mode():
+            seen = self.module((padded - mean) / deviation, intrins=intrinsics)[-1]
+        found = seen[0, :3, top : top + height, left : left + width].permute(1, 2, 0).double().cpu().numpy()
+        unit = found / np.maximum(np.linalg.norm(found, axis=-1, keepdims=True), 1e-9)
+        return from_right_down_outward(unit, camera)
+
+
+def open_dsine(checkout: Path, weights: Path, device: str = "cpu") -> DsineNormals:
+    """Build DSINE from its program and fill it with weights.
+
+    Raises ValueError where the folder is not its program, the file not its weights, or `geffnet` is not installed.
+    """
+    try:
+        with open_file(weights) as stream:
+            state = torch.load(stream, map_location="cpu", weights_only=True)["model"]
+        state = {key.removeprefix("module."): value for key, value in state.items()}
+    except Exception as error:  # torch raises many kinds for a file that is something else
+        raise ValueError(f"{weights}: not DSINE's weights ({type(error).__name__}: {error})") from None
+    module = dsine_module(checkout, estimates_uncertainty=any(key.startswith("kappa_head.") for key in state))
+    try:
+        module.load_state_dict(state, strict=True)
+    except RuntimeError as error:
+        raise ValueError(f"{weights}: these weights are not for the program in {checkout}: {error}") from None
+    module.pixel_coords = module.pixel_coords.to(device)
+    return DsineNormals(module.eval().to(device), device)
+
+
+# § Normals by Marigold (Ke et al. 2024), from a folder on the person's disk. Axes: turned from x right, y up, z back.
+
+diffusers: Any = import_module("diffusers")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MarigoldNormals:
+    """A `MarigoldNormalsPipeline` that always starts from the same noise."""
+
+    pipeline: Any
+    seed: int = 0
+
+    def normals(self, image: Float32[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
+        """Return unit world normals (z up) towards the eye of a display picture, 0..1."""
+        noise = torch.Generator(device="cpu").manual_seed(self.seed)
+        self.pipeline.set_progress_bar_config(disable=True)
+        found = self.pipeline(np.ascontiguousarray(image), generator=noise, output_type="np").prediction[0]
+        return from_right_up_backward(found.astype(np.float64), camera)
+
+
+def open_marigold(folder: Path, device: str = "cpu") -> MarigoldNormals:
+    """Open a pipeline in diffusers' layout; nothing is downloaded. Raises ValueError where the folder is another."""
+    try:
+        pipeline = diffusers.MarigoldNormalsPipeline.from_pretrained(str(folder), local_files_only=True)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{folder}: not a MarigoldNormalsPipeline in diffusers' layout: {error}") from None
+    return MarigoldNormals(pipeline if device == "cpu" else pipeline.to(device, torch.float16))

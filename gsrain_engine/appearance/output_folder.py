@@ -1,0 +1,327 @@
+"""Pictures that another program has made of the same views stand in for a transfer."""
+
+import json
+import logging
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, overload
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, UInt8
+from PIL import Image, ImageDraw
+
+from ..datasets.capture import Capture, CaptureError, View
+from ..datasets.capture_folder import read_capture_folder, write_cameras, write_view, write_world
+from ..datasets.image_override import flat_name, pictures_below, sized_picture
+from ..datasets.io.images import read_color, read_labels
+from ..safe_io.text_files import json_values, printable, read_whole
+from ..scene.files import shortened, whole_folder
+from .base import ClearView, LeftOut, RainyView
+
+logger = logging.getLogger("gsrain")
+
+
+class PictureStandIn:
+    """A `Transfer` that reads pictures from a folder, matched by the views' names."""
+
+    name = "images"
+
+    def __init__(self, folder: Path) -> None:
+        """Look for the pictures; raises `CaptureError` where there is no such folder."""
+        self._pictures = pictures_below(folder)
+
+    def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
+        """Read the picture of each view, resized to the view's size.
+
+        Views without a picture are left out, and the log names one of them, and one of the pictures without a view.
+        Raises `CaptureError` where no view has one, for a broken picture, and for one of other proportions.
+        """
+        missing, named = list[str](), list[tuple[str, str]]()
+        for view in views:
+            named.append((view.name, view.sensor))
+            file = self._pictures.file_of(view.name, view.sensor)
+            if file is None:
+                missing.append(view.name)
+                continue
+            size = (view.camera.width, view.camera.height)
+            yield RainyView(view, sized_picture(file, size).astype(np.float32) / np.float32(255))
+        folder = self._pictures.folder
+        if len(missing) == len(named):
+            raise CaptureError(f"--images {folder}: has no picture of a view; expected {named[0][0]}.png, for one")
+        if missing:
+            logger.warning("%d views have no picture in %s, %r for one", len(missing), folder, missing[0])
+        left_over = self._pictures.left_over(named)
+        if left_over:
+            logger.warning("%d pictures in %s belong to no view, %r for one", len(left_over), folder, left_over[0])
+
+
+# § Rainy views as a folder, which is a capture by itself: any command that takes pictures with cameras takes it.
+#
+# Beside what `datasets.capture_folder` reads (NAME.png is the rainy picture) it holds clear/NAME.png, the picture
+# before,
+# NAME.film.png, the share of what water mirrors, NAME.sky_share.png and NAME.vehicles.png, shares of 255, and
+# transfer.json, which says how it was made. Cameras, depth and normals are in the units and axes of what it was made
+# of.
+
+_CLEAR = "clear"
+
+_OLD_NAME_BYTES = 200
+
+
+def check_transferred_folder(folder: Path) -> None:
+    """Raise ValueError where rainy views may not be written: a file, or a folder with other things in it."""
+    if folder.is_file():
+        raise ValueError(f"{folder}: is a file; expected a new folder, or one of a transfer to replace")
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / TRANSFER).is_file():
+        raise ValueError(f"{folder}: holds other things; expected a new folder, or one of a transfer to replace")
+
+
+# § How rainy views were made, as a file beside them.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TransferRecord:
+    """How rainy views were made."""
+
+    method: str
+    made_of: str
+    """Name of the scene or the capture."""
+    settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """Plain values."""
+    to_world: Float64[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
+    """Similarity from the units and axes of the scene or capture to the world (metres, z up)."""
+    notes: tuple[str, ...] = ()
+    """What the method could not do, a sentence each."""
+
+    @property
+    def metres_per_unit(self) -> float:
+        """Length of a unit of the scene or capture."""
+        return float(np.cbrt(np.linalg.det(self.to_world[:3, :3])))
+
+
+def write_transferred(
+    folder: Path,
+    views: Iterable[RainyView],
+    record: TransferRecord,
+    mask: Callable[[str], Bool[np.ndarray, "_ _"] | None] = lambda name: None,
+) -> Iterator[RainyView]:
+    """Write rainy views as they come, and pass each on when it is on the disk.
+
+    The folder stands once all are written; stopped before, nothing is there but what was there before: an older
+    transfer is replaced in the end. Names of views become file names, with _ for each /.
+
+    Args:
+        folder: Where to; see `check_transferred_folder`.
+        views: Rainy views in the world.
+        record: How they are made; what could not be done for some of the views is added to its notes.
+        mask: By name of a view, which of its pixels may be learned from; None means all.
+
+    Raises:
+        ValueError: Where the folder holds something else, or two views have the same file name.
+    """
+    check_transferred_folder(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    names: set[str] = set()
+    rows: list[dict[str, Any]] = []
+    left_out, has_poses = LeftOut(), False
+    with whole_folder(folder) as beside:
+        (beside / _CLEAR).mkdir()
+        for rainy in views:
+            view = _view(rainy, record, mask(rainy.clear.name))
+            if view.name in names:
+                raise ValueError(f"{folder}: two views would have the file name {view.name}.png")
+            names.add(view.name)
+            rows.append(write_view(beside, view))
+            _write_shares(beside, view.name, rainy)
+            left_out.add(rainy)
+            has_poses |= rainy.clear.has_pose
+            yield rainy
+        if not rows:
+            raise ValueError(f"{folder}: there is no view to write")
+        write_cameras(beside, rows)
+        write_record(beside, replace(record, notes=left_out.sentences), has_poses=has_poses)
+        replaced = _set_aside(folder)
+    shutil.rmtree(replaced, ignore_errors=True)
+
+
+def is_transferred_folder(folder: Path) -> bool:
+    return (folder / TRANSFER).is_file()
+
+
+def read_transferred(folder: Path) -> "TransferredViews":
+    """Read rainy views back, each when it is asked for; raises `CaptureError` for a folder of something else."""
+    return TransferredViews(folder, read_record(folder), read_capture_folder(folder))
+
+
+class TransferredViews(Sequence[RainyView]):
+    """The views of a folder, in the world; colours and shares as exact as bytes are, normals as half floats."""
+
+    def __init__(self, folder: Path, record: TransferRecord, capture: Capture) -> None:
+        self.record = record
+        self._folder, self._capture = folder, capture
+
+    def __len__(self) -> int:
+        return len(self._capture)
+
+    @overload
+    def __getitem__(self, index: int) -> RainyView: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[RainyView]: ...
+    def __getitem__(self, index: int | slice) -> RainyView | Sequence[RainyView]:
+        if isinstance(index, slice):
+            return TransferredViews(self._folder, self.record, replace(self._capture, views=self._capture.views[index]))
+        view, turn = self._capture[index], self.record.to_world[:3, :3] / self.record.metres_per_unit
+        nothing = np.zeros((view.camera.height, view.camera.width), np.float32)
+        depth, normals = view.depth, view.normals
+        clear = ClearView(
+            view.name,
+            view.camera.moved(self.record.to_world),
+            view.time_s,
+            _color(self._folder / _CLEAR / f"{view.name}.png"),
+            nothing if depth is None else depth * np.float32(self.record.metres_per_unit),
+            np.dstack([nothing] * 3) if normals is None else (normals @ turn.T).astype(np.float32),
+            _share(self._folder / f"{view.name}.sky_share.png", nothing),
+            _share(self._folder / f"{view.name}.vehicles.png", nothing),
+            view.sensor,
+            has_pose=self._capture.has_poses,
+        )
+        film = self._folder / f"{view.name}.film.png"
+        image = view.image.astype(np.float32) / np.float32(255)
+        return RainyView(clear, image, _share(film, nothing) if film.is_file() else None)
+
+
+def _view(rainy: RainyView, record: TransferRecord, mask: Bool[np.ndarray, "h w"] | None) -> View:
+    """The rainy picture as a view in the scene's or capture's own units and axes."""
+    clear, scale = rainy.clear, record.metres_per_unit
+    from_world = np.linalg.inv(record.to_world)
+    return View(
+        flat_name(clear.name),
+        clear.camera.moved(from_world),
+        _bytes(rainy.image),
+        clear.time_s,
+        clear.sensor,
+        depth_source=(clear.depth / np.float32(scale)) if clear.depth.any() else None,
+        normals_source=(clear.normals @ (from_world[:3, :3] * scale).T).astype(np.float32)
+        if clear.normals.any()
+        else None,
+        mask_source=mask,
+        sky_source=clear.sky >= 0.5,
+    )
+
+
+def _write_shares(folder: Path, name: str, rainy: RainyView) -> None:
+    Image.fromarray(_bytes(rainy.clear.image)).save(folder / _CLEAR / f"{name}.png")
+    shares = {"sky_share": rainy.clear.sky, "vehicles": rainy.clear.vehicles, "film": rainy.film}
+    for kind, share in shares.items():
+        if share is not None and (kind == "film" or share.any()):
+            Image.fromarray(_bytes(share)).save(folder / f"{name}.{kind}.png")
+
+
+def _set_aside(folder: Path) -> Path:
+    """Move an older transfer out of the way, to be removed when the new one stands."""
+    aside = folder.with_name(f".{shortened(folder.name, _OLD_NAME_BYTES)}.old")
+    shutil.rmtree(aside, ignore_errors=True)
+    if folder.is_dir():
+        folder.rename(aside)
+    return aside
+
+
+def _bytes(values: Float32[np.ndarray, "h w ..."]) -> UInt8[np.ndarray, "h w ..."]:
+    return np.rint(np.clip(values, 0, 1) * np.float32(255)).astype(np.uint8)
+
+
+def _color(file: Path) -> Float32[np.ndarray, "h w 3"]:
+    return read_color(file).astype(np.float32) / np.float32(255)
+
+
+def _share(file: Path, otherwise: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    return read_labels(file).astype(np.float32) / np.float32(255) if file.is_file() else otherwise
+
+
+TRANSFER = "transfer.json"
+
+_VERSION = 1
+
+_LARGEST = 1e9
+"""Of a transform: metres a unit, and metres to the origin."""
+
+
+def write_record(folder: Path, record: TransferRecord, *, has_poses: bool = True) -> None:
+    """Write the record, and a file on the world where z is not up, the unit is not the metre, or poses are unknown."""
+    values = {
+        "version": _VERSION,
+        "method": record.method,
+        "made_of": record.made_of,
+        "settings": dict(record.settings),
+        "to_world": record.to_world.tolist(),
+        "notes": list(record.notes),
+    }
+    (folder / TRANSFER).write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+    x, y, z = (record.to_world[2, :3] / record.metres_per_unit).tolist()
+    is_metric = bool(np.isclose(record.metres_per_unit, 1, atol=1e-9))
+    if not is_metric or not has_poses or not np.allclose((x, y, z), (0, 0, 1), atol=1e-12):
+        write_world(folder, (x, y, z), is_metric=is_metric, has_poses=has_poses)
+
+
+def read_record(folder: Path) -> TransferRecord:
+    """Read how rainy views were made; raises `CaptureError` where the file is missing or another one."""
+    file = folder / TRANSFER
+    try:
+        values = json_values(read_whole(file))
+        if values["version"] > _VERSION:
+            raise CaptureError(
+                f"{file}: version {values['version']} is newer than {_VERSION}, which this program knows"
+            )
+        to_world = np.array(values["to_world"], np.float64)
+        is_bounded = to_world.shape == (4, 4) and bool((np.abs(to_world) <= _LARGEST).all())  # so nothing overflows
+        if not is_bounded or np.linalg.det(to_world[:3, :3]) <= 0:
+            raise CaptureError(f"{file}: to_world must be a similarity, 4x4 numbers within {_LARGEST:g}")
+        notes = tuple(printable(str(each)) for each in list(values.get("notes", ())))
+        return TransferRecord(str(values["method"]), str(values["made_of"]), dict(values["settings"]), to_world, notes)
+    except (OSError, KeyError, TypeError, ValueError, OverflowError) as error:
+        if isinstance(error, CaptureError):
+            raise
+        raise CaptureError(f"{file}: not the record of a transfer ({printable(error)})") from None
+
+
+# § Some views before and after a transfer, side by side in one picture.
+
+_MARGIN_PX, _LINE_PX = 8, 16
+
+_PAPER, _INK = (24, 26, 28), (220, 222, 224)
+
+
+class BeforeAndAfter:
+    """Collects views, evenly over all that come by, and draws them: a row each, clear on the left."""
+
+    def __init__(self, count: int, at_most: int = 6, width_px: int = 640) -> None:
+        """Take how many views will come, how many of them are shown, and how wide each picture is."""
+        self._wanted = set(np.linspace(0, count - 1, min(at_most, count)).round().astype(int).tolist())
+        self._width = width_px
+        self._seen = 0
+        self._rows: list[tuple[str, list[UInt8[np.ndarray, "_ _ 3"]]]] = []
+
+    def add(self, view: RainyView) -> None:
+        if self._seen in self._wanted:
+            self._rows.append((view.clear.name, [self._sized(view.clear.image), self._sized(view.image)]))
+        self._seen += 1
+
+    def picture(self) -> Image.Image:
+        heights = [_LINE_PX + max(each.shape[0] for each in pictures) + _MARGIN_PX for _, pictures in self._rows]
+        sheet = Image.new("RGB", (2 * self._width + 3 * _MARGIN_PX, sum(heights) + _MARGIN_PX), _PAPER)
+        pen, top = ImageDraw.Draw(sheet), _MARGIN_PX
+        for (name, pictures), height in zip(self._rows, heights, strict=True):
+            pen.text((_MARGIN_PX, top), name, fill=_INK)
+            for i, pixels in enumerate(pictures):
+                sheet.paste(Image.fromarray(pixels), (_MARGIN_PX + i * (self._width + _MARGIN_PX), top + _LINE_PX))
+            top += height
+        return sheet
+
+    def _sized(self, picture: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
+        scale = self._width / picture.shape[1]
+        size = (self._width, max(round(picture.shape[0] * scale), 1))
+        resized = cv2.resize(picture, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+        return np.rint(np.clip(resized, 0, 1) * np.float32(255)).astype(np.uint8)

@@ -1,0 +1,133 @@
+"""The transfers that there are, one row each, and those of installed packages; each is loaded when it is asked for."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from ..plugins import TRANSFERS, Extension, ExtensionError, extension, extensions, say_once
+from .base import Transfer, TransferSettings
+
+if TYPE_CHECKING:
+    from .wet_look.environment import Surroundings
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """One transfer in the table."""
+
+    name: str
+    title: str
+    """For a person to read."""
+    help: str
+    opens: Callable[[TransferSettings, "Surroundings"], Transfer]
+    needs_torch: bool = False
+    needs: str | None = None
+    """Field of the settings without which it can't be opened."""
+    uses: tuple[str, ...] = ()
+    """Fields of the settings that concern it, in the order in which a panel shows them."""
+
+
+def open_transfer(name: str, settings: TransferSettings, surroundings: "Surroundings") -> Transfer:
+    """Make a transfer ready.
+
+    Args:
+        name: One of `METHODS`.
+        settings: What a person has chosen.
+        surroundings: What the wet method asks for what water mirrors.
+
+    Raises:
+        ValueError: For another name, and where the settings lack what the method needs.
+    """
+    method = method_of(name)
+    if method.needs is not None and getattr(settings, method.needs) is None:
+        raise ValueError(f"--method {name} needs --{method.needs}")
+    return method.opens(settings, surroundings)
+
+
+def method_of(name: str) -> Method:
+    """Find a method by its name; raises ValueError, which lists what there is, for another one.
+
+    And `ExtensionError`, which is one, for a method of an installed package that can't be used.
+    """
+    for each in METHODS:
+        if each.name == name:
+            return each
+    if (installed := extension(TRANSFERS, name)) is not None:
+        return _installed(installed)
+    raise ValueError(f"no transfer method {name!r}, only {', '.join(method_names())}")
+
+
+def method_names() -> tuple[str, ...]:
+    """Names of all methods, ours first."""
+    ours = tuple(each.name for each in METHODS)
+    return (*ours, *(each.name for each in extensions(TRANSFERS) if each.name not in ours))
+
+
+def usable_methods() -> tuple[Method, ...]:
+    """All methods, ours first; those of installed packages that can't be used are left out, and named in the log."""
+    usable: list[Method] = []
+    for name in method_names():
+        try:
+            usable.append(method_of(name))
+        except ExtensionError as error:
+            say_once(str(error))
+    return tuple(usable)
+
+
+def _installed(extension: Extension) -> Method:
+    """Return the row of another package; what it opens is looked at, and fails in one sentence."""
+    row = extension.load(Method)
+    if row.name != extension.name:
+        raise extension.unfit(f"calls itself {row.name}")
+    if unknown := sorted({*row.uses, *filter(None, [row.needs])} - set(TransferSettings.__struct_fields__)):
+        raise extension.unfit(f"there is no setting {unknown[0]} of a transfer")
+
+    def opens(settings: TransferSettings, surroundings: "Surroundings") -> Transfer:
+        try:
+            transfer = row.opens(settings, surroundings)
+        except Exception as error:  # it is code of others: its words are the reason
+            raise extension.unfit(error) from error
+        if not _is_transfer(transfer):
+            raise extension.unfit(f"opens a {type(transfer).__name__}, which has no name or no method transferred")
+        return transfer
+
+    return replace(row, opens=opens)
+
+
+def _is_transfer(made: object) -> bool:
+    return isinstance(made, Transfer)
+
+
+def _wet(settings: TransferSettings, surroundings: "Surroundings") -> Transfer:
+    from .wet_look.settings import WetSettings
+    from .wet_look.translator import WetTransfer
+
+    return WetTransfer(WetSettings(wetness=settings.wetness, seed=settings.seed), surroundings)
+
+
+def _cyclegan_turbo(settings: TransferSettings, surroundings: "Surroundings") -> Transfer:
+    from .cyclegan_turbo.translator import open_cyclegan_turbo  # torch is an extra
+
+    return open_cyclegan_turbo(settings)
+
+
+def _images(settings: TransferSettings, surroundings: "Surroundings") -> Transfer:
+    from .output_folder import PictureStandIn
+
+    assert settings.images is not None
+    return PictureStandIn(settings.images)
+
+
+METHODS = (
+    Method("wet", "Wet look", "Computed from light, depth and normals; needs no weights.", _wet, uses=("seed",)),
+    Method(
+        "cyclegan-turbo", "CycleGAN-Turbo", "The paper's diffusion model; needs its weights and torch.",
+        _cyclegan_turbo, needs_torch=True,
+        uses=("weights", "base", "normals", "normals_weights", "normals_checkout", "guide", "mutual_attention",
+              "neighbours", "side_px", "tile_px", "precision", "device"),
+    ),
+    Method(
+        "images", "Pictures", "Pictures that another program has made of the same views.", _images, needs="images",
+        uses=("images",),
+    ),
+)  # fmt: skip

@@ -1,0 +1,405 @@
+"""Clear views of a scene, drawn on the processor: colour with what is known about each pixel."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal, NamedTuple, overload
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Float64
+from msgspec import Meta, Struct
+
+from ..datasets.capture import Capture
+from ..datasets.geometry import scaled_camera
+from ..datasets.undistort import prepared
+from ..render.cpu.compositing import expected, view_weights
+from ..scene.camera import Camera, look_at
+from ..scene.camera_path import CameraPath
+from ..scene.objects import is_vehicle
+from ..scene.scene import Actor, Layer, Part, RigCamera, Scene
+from .base import ClearView
+from .normals import normals_from_depth, view_rays
+
+_SOLID = 0.3
+"""Share of a pixel that must not be sky for its depth to be told."""
+
+_THERE = (0.1, 0.3)
+"""Alpha below which a pixel shows nothing of the scene, and from which it shows it whole."""
+
+_SHADOW_M = 0.08
+"""What of a vehicle lies so low is its shadow on the road."""
+
+_OPEN_SKY = np.array([0.72, 0.80, 0.90], np.float32)
+"""Display colour of the sky where a scene has none: that of its drops is chosen elsewhere, this one is only seen."""
+
+# § A camera that stands in the world, and when it looks.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedCamera:
+    """From where, and when, a view is taken: actors stand where they are at that time."""
+
+    name: str
+    camera: Camera
+    """In the world (metres, z up)."""
+    time_s: float = 0.0
+    sensor: str = ""
+    """Which camera of a rig it is; empty where there is only one."""
+
+    def at_width(self, width_px: int | None) -> "PlacedCamera":
+        """Show the same in a picture so wide, of the nearest whole height; None changes nothing."""
+        if width_px is None or width_px == self.camera.width:
+            return self
+        height = max(round(self.camera.height * width_px / self.camera.width), 1)
+        return replace(self, camera=scaled_camera(self.camera, width_px, height))
+
+
+def scene_views(scene: Scene, placed: Sequence[PlacedCamera], width_px: int | None = None) -> Sequence[ClearView]:
+    """Views of a scene from cameras in the world, each drawn when it is asked for; the last few are kept.
+
+    Colours are clear, and without grading, which comes on top of the colours that are solved for later. Where nothing
+    of the scene is, above the horizon, there is sky if the scene has no sky of its own.
+    """
+    at_width = [each.at_width(width_px) for each in placed]
+    return KeptViews(len(at_width), lambda i: scene_view(scene, at_width[i]))
+
+
+def scene_view(scene: Scene, placed: PlacedCamera) -> ClearView:
+    camera, shown = placed.camera, _shown(scene, placed.time_s)
+    view = view_weights(shown.parts, camera)
+    own, colors = view.splats.indices, view.splats.colors
+    sky, vehicle = shown.is_sky[own].astype(np.float32), shown.is_vehicle[own].astype(np.float32)
+    painted = view.blend(np.concatenate([colors[:, :3], ((1 - sky) * colors[:, 3])[:, None]], axis=1))
+    kinds = view.blend(np.stack([1 - sky, sky, vehicle], axis=1))
+    solid, alpha = np.ascontiguousarray(kinds[..., 0]), kinds[..., 0] + kinds[..., 1]
+    depth = expected(np.ascontiguousarray(painted[..., 3]), solid)
+    depth[solid <= _SOLID * alpha] = 0
+    image = np.stack([expected(np.ascontiguousarray(painted[..., c]), alpha) for c in range(3)], axis=-1)
+    sky_share, vehicles = (expected(np.ascontiguousarray(kinds[..., k]), alpha) for k in (1, 2))
+    if not shown.has_sky:
+        image, sky_share, depth = _under_open_sky(image, alpha, depth, camera)
+    return ClearView(
+        placed.name, camera, placed.time_s, np.clip(image, 0, 1), depth, normals_from_depth(depth, camera),
+        np.clip(sky_share, 0, 1), np.clip(vehicles, 0, 1), placed.sensor,
+    )  # fmt: skip
+
+
+class _Shown(NamedTuple):
+    """What can be seen at a time, and what kind of thing each Gaussian of it is."""
+
+    parts: list[Part]
+    is_sky: Bool[np.ndarray, " n"]
+    is_vehicle: Bool[np.ndarray, " n"]
+    has_sky: bool
+
+
+def _shown(scene: Scene, time_s: float) -> _Shown:
+    parts: list[Part] = []
+    sky, vehicle = [np.zeros(0, np.bool_)], [np.zeros(0, np.bool_)]
+    for member in scene.members:
+        part = scene.part(member, time_s) if member.visible else None
+        if part is not None:
+            parts.append(part._replace(colors=None))
+            sky.append(np.full(len(member.gaussians), isinstance(member, Layer) and member.kind == "sky"))
+            vehicle.append(_is_body(member, scene.metres_per_unit))
+    is_sky = np.concatenate(sky)
+    return _Shown(parts, is_sky, np.concatenate(vehicle), bool(is_sky.any()))
+
+
+def _is_body(member: Layer | Actor, metres_per_unit: float) -> Bool[np.ndarray, " n"]:
+    """Which of a member's Gaussians are a vehicle's."""
+    if isinstance(member, Layer) or not is_vehicle(member.class_name):
+        return np.zeros(len(member.gaussians), np.bool_)
+    return np.asarray(member.gaussians.means[:, 2] * metres_per_unit > _SHADOW_M)
+
+
+def _under_open_sky(
+    image: Float32[np.ndarray, "h w 3"],
+    alpha: Float32[np.ndarray, "h w"],
+    depth: Float32[np.ndarray, "h w"],
+    camera: Camera,
+) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+    """Put a sky where nothing is above the horizon, and nothing where nothing is below it.
+
+    A pixel that shows the scene in part shows it whole: colours are solved for from what it shows there, which may not
+    have the sky in it.
+    """
+    low, high = _THERE
+    t = np.clip((alpha - low) / (high - low), 0, 1)
+    there = t * t * (3 - 2 * t)
+    rises = view_rays(camera)[..., 2] > 0
+    sky = np.where(rises, 1 - there, 0).astype(np.float32)
+    shown = image * there[..., None] + _OPEN_SKY * sky[..., None]
+    return shown, sky, np.where(there > 0.5, depth, np.float32(0))
+
+
+# § Which views of a scene are taken: those of its recording, along a way, or around it.
+
+Source = Literal["auto", "recorded", "rig", "path", "around"]
+
+USUAL_COUNT = 24
+"""Views where a person says nothing: enough for a street of 100 m."""
+
+USUAL_PIXELS = 480 * 320
+"""Size of a picture, whatever its shape, of a quick look: where no width is asked for."""
+
+OWN_WIDTH_PX = 960
+"""Commands take pictures as wide as they are, up to this, where no width is asked for."""
+
+_PATH_PX = (960, 640)
+"""Width and height of views along a camera path, which has no pictures of its own."""
+
+
+class ViewChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What a person can choose about views."""
+
+    source: Annotated[
+        Source,
+        Meta(
+            title="Views",
+            description="recorded: the cameras of a capture; rig: the scene's own, along the ego's way; path: its "
+            "camera path; around: outwards from its middle and inwards from a ring; auto: the first there is.",
+        ),
+    ] = "auto"
+    count: (
+        Annotated[
+            int,
+            Meta(
+                ge=1,
+                le=100_000,
+                title="Number of views",
+                extra={"none": "as many as fit", "usual": 24},
+                description="Evenly over all there are.",
+            ),
+        ]
+        | None
+    ) = None
+    """None is all of a recording, and 24 elsewhere."""
+    width_px: (
+        Annotated[
+            int,
+            Meta(
+                ge=16,
+                le=16384,
+                title="Width of pictures",
+                extra={"unit": "px", "none": "as 480 x 320", "usual": 480},
+                description="Each picture keeps its proportions.",
+            ),
+        ]
+        | None
+    ) = None
+    """None gives pictures as many pixels as 480 x 320, at most their own."""
+    sensors: Annotated[
+        tuple[str, ...], Meta(title="Cameras", description="Only these of the rig or the recording; empty for all.")
+    ] = ()
+
+
+def chosen_cameras(
+    scene: Scene, choice: ViewChoice, capture: Capture | None = None, own_width_px: int | None = None
+) -> list[PlacedCamera]:
+    """Place cameras in a scene as chosen; names are unique.
+
+    Args:
+        scene: What is looked at.
+        choice: From where.
+        capture: The scene's recording, whose world is the scene's own units and axes.
+        own_width_px: Where no width is chosen, pictures are as wide as their cameras', up to this; None makes them
+            small instead (`ViewChoice.width_px`).
+
+    Raises:
+        ValueError: Where the scene has no such views.
+    """
+    source = choice.source if choice.source != "auto" else _best(scene, capture)
+    if source == "recorded":
+        placed = _recorded(scene, choice, capture)
+    elif source == "rig":
+        placed = along_the_way(scene, choice.count or USUAL_COUNT, choice.sensors)
+    elif source == "path":
+        placed = _on_the_path(scene, choice.count or USUAL_COUNT)
+    else:
+        placed = around_the_middle(scene, choice.count or USUAL_COUNT)
+    if choice.width_px is None and own_width_px is not None:
+        return [each.at_width(min(own_width_px, each.camera.width)) for each in placed]
+    return [each.at_width(choice.width_px or _usual_width(each)) for each in placed]
+
+
+def _best(scene: Scene, capture: Capture | None) -> Source:
+    if capture is not None:
+        return "recorded"
+    if scene.ego is not None and scene.ego.valid.any() and any(scene.rigs.values()):
+        return "rig"
+    return "around" if scene.path is None else "path"
+
+
+def chosen_views(capture: Capture, choice: ViewChoice) -> Capture:
+    """Return a capture with the chosen views alone; raises ValueError where it has no such camera."""
+    wanted = [view for view in capture if not choice.sensors or view.sensor in choice.sensors]
+    if not wanted:
+        there = ", ".join(filter(None, capture.sensors)) or "one without a name"
+        raise ValueError(f"{capture.name}: has no camera {', '.join(choice.sensors)}, only {there}")
+    return replace(capture, views=tuple(wanted[i] for i in evenly(len(wanted), choice.count)))
+
+
+def _recorded(scene: Scene, choice: ViewChoice, capture: Capture | None) -> list[PlacedCamera]:
+    if capture is None:
+        raise ValueError(f"recorded views of scene {scene.name!r}: its capture is needed, which nobody has named")
+    if not capture.has_poses:
+        raise ValueError(f"{capture.name}: has pictures, but not where their cameras stood")
+    to_world = scene.scene_to_world
+    return [
+        PlacedCamera(view.name, prepared(view).camera.moved(to_world), view.time_s, view.sensor)
+        for view in chosen_views(capture, choice)
+    ]
+
+
+def _on_the_path(scene: Scene, count: int) -> list[PlacedCamera]:
+    path = scene.path
+    if path is None:
+        raise ValueError(f"scene {scene.name!r} has no camera path")
+    times = _evenly_timed(path, count)
+    cameras = [path.camera(t, *_PATH_PX).moved(scene.scene_to_world) for t in times]
+    return [PlacedCamera(f"path_{i:03d}", camera, t) for i, (camera, t) in enumerate(zip(cameras, times, strict=True))]
+
+
+def _evenly_timed(path: CameraPath, count: int) -> list[float]:
+    """Moments from a path's start to its end, without that at which a loop is back at its start."""
+    if path.duration_s == 0:
+        return [path.start_s]
+    return np.linspace(path.start_s, path.end_s, count, endpoint=not path.loop).tolist()
+
+
+def evenly(there: int, count: int | None) -> Sequence[int]:
+    """Indices of so many out of all there are, evenly spread; all where no more are there."""
+    if count is None or count >= there:
+        return range(there)
+    return np.floor((np.arange(count) + 0.5) * there / count).astype(int).tolist()
+
+
+def _usual_width(placed: PlacedCamera) -> int:
+    """Width at which a picture has the usual number of pixels; never more than its own."""
+    width, height = placed.camera.width, placed.camera.height
+    return min(width, max(1, round(width * np.sqrt(USUAL_PIXELS / (width * height)))))
+
+
+# § Views from the ego vehicle's rig, spread over the way it drives. World frame (metres, z up).
+
+
+def along_the_way(scene: Scene, count: int, sensors: Sequence[str] = ()) -> list[PlacedCamera]:
+    """Spread views over the way driven: the camera that looks forward at every other one, the others in turn between.
+
+    Args:
+        scene: With an ego vehicle and a rig.
+        count: Of views; those at times when there is no ego are left out.
+        sensors: Only these cameras of the rig; empty for all.
+
+    Raises:
+        ValueError: Where there is no rig, no such camera in it, or no way.
+    """
+    rig = next((cameras for cameras in scene.rigs.values() if cameras), ())
+    if scene.ego is None or not scene.ego.valid.any() or not rig:
+        raise ValueError(f"scene {scene.name!r} has no ego vehicle with a camera rig")
+    chosen = [each for each in rig if not sensors or each.name in sensors]
+    if not chosen:
+        names = ", ".join(each.name for each in rig)
+        raise ValueError(f"scene {scene.name!r}: its rig has no camera {', '.join(sensors)}, only {names}")
+    ordered = sorted(chosen, key=lambda each: -each.camera_to_ego[0, 2])  # forward is +x of the ego frame
+    front, others = ordered[0], ordered[1:] or ordered
+    placed: list[PlacedCamera] = []
+    for i, time_s in enumerate(_evenly_driven(scene.ego.times, scene.ego.positions, count)):
+        mounted = front if i % 2 == 0 else others[i // 2 % len(others)]
+        ego_to_world = scene.ego_to_world(time_s)
+        if ego_to_world is not None:
+            camera = _placed(mounted, ego_to_world @ mounted.camera_to_ego)
+            placed.append(PlacedCamera(f"{mounted.name}_{i:03d}", camera, time_s, mounted.name))
+    return placed
+
+
+def _evenly_driven(times: Float64[np.ndarray, " t"], positions: Float64[np.ndarray, "t 3"], count: int) -> list[float]:
+    """Times at which equal shares of the way are driven; of time, where the vehicle stands still."""
+    driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    if driven[-1] <= 0:
+        driven = times - times[0]
+    shares = (np.arange(count) + 0.5) / count
+    return [float(t) for t in np.interp(shares * driven[-1], driven, times)]
+
+
+def _placed(mounted: RigCamera, camera_to_world: Float64[np.ndarray, "4 4"]) -> Camera:
+    return Camera(
+        mounted.width, mounted.height, mounted.fx, mounted.fy, mounted.cx, mounted.cy,
+        np.linalg.inv(camera_to_world), mounted.exposure_s,
+    )  # fmt: skip
+
+
+# § Views around a scene of which nothing is known but its Gaussians. World frame (metres, z up).
+
+EYE_HEIGHT_M = 1.6
+
+_FIELD_OF_VIEW_DEG = 60.0
+
+_RING = 2.2
+"""Distance of the ring from the middle, in half diagonals of what is seen."""
+
+
+def around_the_middle(scene: Scene, count: int) -> list[PlacedCamera]:
+    """Look outwards from the middle and inwards from a ring, in turn: one of the two suits a street, one an object."""
+    middle, reach = _robust_extent(scene)
+    placed: list[PlacedCamera] = []
+    for i in range(count):
+        angle = 2 * np.pi * i / count
+        outward = np.array([np.cos(angle), np.sin(angle), 0.0])
+        ring = middle + _RING * reach * outward + np.array([0, 0, 0.3 * reach])
+        eye, target = (middle, middle + outward) if i % 2 else (ring, middle)
+        pose = look_at(eye, target, np.array([0.0, 0.0, 1.0]))
+        placed.append(PlacedCamera(f"around_{i:03d}", Camera.from_fov(960, 640, _FIELD_OF_VIEW_DEG, pose)))
+    return placed
+
+
+def _robust_extent(scene: Scene) -> tuple[Float[np.ndarray, "3"], float]:
+    """Middle of the box that holds the visible Gaussians but the outer twentieths, and half its diagonal.
+
+    In metres; sky is left out; the middle is at eye height where the ground is known.
+    """
+    layers = [layer for layer in scene.layers if layer.visible and layer.kind != "sky"]
+    parts = [part for layer in layers if (part := scene.part(layer)) is not None]
+    places = [part.remaining.means @ part.to_world[:3, :3].T + part.to_world[:3, 3] for part in parts]
+    points = np.concatenate([np.zeros((0, 3)), *places])
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points):
+        return np.array([0.0, 0.0, EYE_HEIGHT_M]), 1.0
+    low, high = np.quantile(points, [0.05, 0.95], axis=0)
+    middle, reach = (low + high) / 2, float(np.linalg.norm(high - low) / 2)
+    if scene.ground_m is not None:
+        middle[2] = scene.ground_m + EYE_HEIGHT_M
+    return middle, max(reach, 1e-3)
+
+
+# § Views that are worked out when they are asked for, and kept for a while: neighbours are asked for again.
+
+KEPT = 6
+"""Views that stay in memory, 36 bytes a pixel each."""
+
+
+class KeptViews(Sequence[ClearView]):
+    """A sequence of views, each made by a function of its index; the last few that were asked for stay."""
+
+    def __init__(self, count: int, make: Callable[[int], ClearView], kept: int = KEPT) -> None:
+        self._count, self._make, self._room = count, make, kept
+        self._kept: OrderedDict[int, ClearView] = OrderedDict()
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> ClearView: ...
+    @overload
+    def __getitem__(self, index: slice) -> "KeptViews": ...
+    def __getitem__(self, index: int | slice) -> "ClearView | KeptViews":
+        if isinstance(index, slice):
+            chosen = range(self._count)[index]
+            return KeptViews(len(chosen), lambda i: self[chosen[i]], 0)  # this one keeps them already
+        index = range(self._count)[index]
+        view = self._kept.pop(index, None) or self._make(index)
+        self._kept[index] = view
+        while len(self._kept) > self._room:
+            self._kept.popitem(last=False)
+        return view

@@ -1,0 +1,1 @@
+"""The built-in wet look, without a network."""

@@ -1,0 +1,202 @@
+"""What a rough water surface mirrors: facets of all slopes, each by Fresnel's law. World frame, linear light."""
+
+from typing import NamedTuple, no_type_check
+
+import cv2
+import numba
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from .materials import WATER_INDEX, reflectance, unshadowed
+from .reflections import Mirrored
+
+_WIDEST = 2.2
+"""Facets tilted by up to so many standard deviations are looked at."""
+
+_FAR_M = 1000.0
+"""Distance of the sky."""
+
+_ROUNDS = 3
+
+_ACROSS = 2.0
+"""Width over which the mirror's picture is blurred across, in standard deviations of what facets tilted sideways do."""
+
+_SPECK_PX = 5
+"""Width of the median that takes single pixels away."""
+
+
+class MirroredLight(NamedTuple):
+    """What comes to the eye from the water's surface."""
+
+    color: Float32[np.ndarray, "h w 3"]
+    """Linear light, times its share."""
+    share: Float32[np.ndarray, "h w"]
+    """Share of light that the surface mirrors towards the eye, 0..1."""
+
+
+# § A picture blurred by every power of two across and down, each by itself: what a rough mirror shows is stretched.
+
+
+class Blurred(NamedTuple):
+    """Pictures of halving sizes, one after the other (a "ripmap", McReynolds et al. 1998)."""
+
+    values: Float32[np.ndarray, " n"]
+    """All pictures, rows of three channels."""
+    table: Int64[np.ndarray, "down across 3"]
+    """Where each picture begins among the values, its rows and columns."""
+
+
+def mirrored_light(
+    mirrored: Mirrored,
+    picture: Blurred,
+    eye: Float64[np.ndarray, "3"],
+    points_m: Float64[np.ndarray, "h w 3"],
+    normals: Float32[np.ndarray, "h w 3"],
+    slopes: Float32[np.ndarray, "h w"],
+    facets: int,
+) -> MirroredLight:
+    """Integrate what the facets of a rough water surface mirror towards the eye.
+
+    Facets tilted towards and away from the eye by Gaussian slopes count by the area that the eye sees of them; each
+    mirrors its share by Fresnel's law, less what its neighbours shadow (Smith 1967). Where a mirrored ray ends is found
+    in the depth of the mirror's picture. Facets tilted sideways blur across; at grazing angles that is much less than
+    what the others blur downwards, which is why reflections on wet roads are stretched. Both grow from nothing at the
+    foot of things. Pixels with a slope below 0 are left out.
+    """
+    size = slopes.shape
+    color, share = np.zeros((*size, 3), np.float32), np.zeros(size, np.float32)
+    camera = mirrored.camera
+    lens = float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
+    _integrate(
+        points_m, normals, slopes, eye, camera.world_to_camera, lens, mirrored.depth, picture.values, picture.table,
+        facets, color, share,
+    )  # fmt: skip
+    mean = _without_specks(color / np.maximum(share, np.float32(1e-6))[..., None], slopes >= 0)
+    return MirroredLight(share[..., None] * mean, share)
+
+
+def _without_specks(mean: Float32[np.ndarray, "h w 3"], told: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 3"]:
+    """Take away single pixels whose rays found another thing than those around them, at the edges of things."""
+    window = np.ones((_SPECK_PX, _SPECK_PX), np.uint8)
+    inner = cv2.erode(told.astype(np.uint8), window, borderValue=1)
+    return np.where(inner[..., None] > 0, cv2.medianBlur(mean, _SPECK_PX), mean)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _integrate(points, normals, slopes, eye, pose, lens, depth, values, table, facets, color, share):
+    height, width = slopes.shape
+    half = facets // 2
+    for v in numba.prange(height):
+        for u in range(width):
+            slope = slopes[v, u]
+            if slope < 0:
+                continue
+            px, py, pz = points[v, u, 0], points[v, u, 1], points[v, u, 2]
+            nx, ny, nz = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
+            ex, ey, ez = eye[0] - px, eye[1] - py, eye[2] - pz
+            eye_distance = np.sqrt(ex * ex + ey * ey + ez * ez)
+            ex, ey, ez = ex / eye_distance, ey / eye_distance, ez / eye_distance
+            flat = ex * nx + ey * ny + ez * nz
+            if not flat > 1e-3:  # not a number, either
+                continue
+            tx, ty, tz = ex - flat * nx, ey - flat * ny, ez - flat * nz  # along the ground, towards the eye
+            length = max(np.sqrt(tx * tx + ty * ty + tz * tz), 1e-6)
+            tx, ty, tz = tx / length, ty / length, tz / length
+            step = slope * _WIDEST / max(half, 1)
+            seen = mirrored = red = green = blue = 0.0
+            middle = _FAR_M
+            for side in range(2):
+                reach = middle
+                for k in range(side, half + 1):
+                    tilt = step * (k if side == 0 else -k)
+                    norm = 1 / np.sqrt(1 + tilt * tilt)
+                    mx, my, mz = (nx + tilt * tx) * norm, (ny + tilt * ty) * norm, (nz + tilt * tz) * norm
+                    cosine = ex * mx + ey * my + ez * mz
+                    if cosine <= 0:
+                        continue
+                    weight = np.exp(-0.5 * (tilt / slope) ** 2) * cosine / norm if slope > 0 else 1.0
+                    seen += weight
+                    rx, ry, rz = 2 * cosine * mx - ex, 2 * cosine * my - ey, 2 * cosine * mz - ez
+                    rise = rx * nx + ry * ny + rz * nz
+                    if rise <= 0:
+                        continue
+                    weight *= reflectance(cosine, WATER_INDEX) * unshadowed(rise, slope)
+                    qx = qy = 0.0
+                    for _ in range(_ROUNDS if k == 0 else 2):
+                        x, y, z = px + reach * rx, py + reach * ry, pz + reach * rz
+                        qz = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
+                        if not qz > 0.05:
+                            break
+                        qx = (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) / qz * lens[0] + lens[2]
+                        qy = (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) / qz * lens[1] + lens[3]
+                        found = depth[
+                            min(max(int(qy), 0), depth.shape[0] - 1), min(max(int(qx), 0), depth.shape[1] - 1)
+                        ]
+                        start = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
+                        along = pose[2, 0] * rx + pose[2, 1] * ry + pose[2, 2] * rz
+                        reach = _FAR_M
+                        if found > 0:
+                            reach = min(max((found - start) / max(along, 0.05), 0.05), _FAR_M)
+                    if k == 0:
+                        middle = reach
+                    parallax = 2 * reach / (reach + eye_distance)
+                    down = parallax * max(step, 0.25 * slope) * lens[1]
+                    across = parallax * _ACROSS * slope * flat * lens[0]
+                    r, g, b = _looked_up(values, table, qx, qy, down, across)
+                    red, green, blue, mirrored = (
+                        red + weight * r, green + weight * g, blue + weight * b, mirrored + weight,
+                    )  # fmt: skip
+            if seen > 0:
+                color[v, u, 0], color[v, u, 1], color[v, u, 2] = red / seen, green / seen, blue / seen
+                share[v, u] = mirrored / seen
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _looked_up(values, table, x, y, down_px, across_px):
+    """Colour at a place, averaged over so many pixels down and across."""
+    i = min(max(np.log2(max(down_px, 1.0)), 0.0), table.shape[0] - 1.001)
+    j = min(max(np.log2(max(across_px, 1.0)), 0.0), table.shape[1] - 1.001)
+    i0, j0 = int(i), int(j)
+    red = green = blue = 0.0
+    for di in range(2):
+        share_i = i - i0 if di else 1 - i + i0
+        for dj in range(2):
+            share = share_i * (j - j0 if dj else 1 - j + j0)
+            if share < 1e-3:
+                continue
+            start, rows, columns = table[i0 + di, j0 + dj, 0], table[i0 + di, j0 + dj, 1], table[i0 + di, j0 + dj, 2]
+            sx = min(max(x * columns / table[0, 0, 2] - 0.5, 0.0), columns - 1.0)
+            sy = min(max(y * rows / table[0, 0, 1] - 0.5, 0.0), rows - 1.0)
+            x0, y0 = min(int(sx), max(columns - 2, 0)), min(int(sy), max(rows - 2, 0))
+            fx, fy = share * (sx - x0), sy - y0
+            right, under = (3 if columns > 1 else 0), (3 * columns if rows > 1 else 0)
+            at = start + 3 * (y0 * columns + x0)
+            w00, w01, w10, w11 = (share - fx) * (1 - fy), fx * (1 - fy), (share - fx) * fy, fx * fy
+            below = at + under
+            red += w00 * values[at] + w01 * values[at + right] + w10 * values[below] + w11 * values[below + right]
+            at, below = at + 1, below + 1
+            green += w00 * values[at] + w01 * values[at + right] + w10 * values[below] + w11 * values[below + right]
+            at, below = at + 1, below + 1
+            blue += w00 * values[at] + w01 * values[at + right] + w10 * values[below] + w11 * values[below + right]
+    return red, green, blue
+
+
+_SAMPLES_ACROSS, _DOWN = 5, 8
+
+
+def blurred(image: Float32[np.ndarray, "h w 3"]) -> Blurred:
+    """Halve a picture (linear light) down and across, again and again."""
+    pieces, rows = list[Float32[np.ndarray, " n"]](), list[list[tuple[int, int, int]]]()
+    start, tall = 0, np.ascontiguousarray(image)
+    for _ in range(_DOWN):
+        wide, line = tall, list[tuple[int, int, int]]()
+        for _ in range(_SAMPLES_ACROSS):
+            line.append((start, wide.shape[0], wide.shape[1]))
+            pieces.append(wide.ravel())
+            start += wide.size
+            wide = cv2.resize(wide, (max(wide.shape[1] // 2, 1), wide.shape[0]), interpolation=cv2.INTER_AREA)
+        rows.append(line)
+        tall = cv2.resize(tall, (tall.shape[1], max(tall.shape[0] // 2, 1)), interpolation=cv2.INTER_AREA)
+    return Blurred(np.concatenate(pieces), np.array(rows, np.int64))

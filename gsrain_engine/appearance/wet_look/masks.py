@@ -1,0 +1,196 @@
+"""What kind of surface each pixel shows: ground, plants, walls, vehicles. Shares from 0 to 1."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32, Float64
+
+from ..base import ClearView
+from ..normals import view_rays, world_points
+from .ground_plane import GroundHeights, GroundPlane, settled
+
+Plane = Float32[np.ndarray, "h w"]
+
+_SMOOTH_SHARE = 0.01
+"""Normals are averaged over this share of the picture's width: those of real scenes are rough."""
+
+_NEAR_GROUND_M, _DEPTH_NOISE = 0.2, 0.008
+"""Height up to which something is ground: at once, and a metre of distance."""
+
+_UP, _AGREEING = (0.35, 0.8), (0.75, 0.95)
+"""Up-ness from which a surface lies open to rain, and length of mean normals from which they mean anything."""
+
+_AMONG = (0.25, 0.6)
+"""Share of leaves around something from which it is one."""
+
+_UP_ELSEWHERE = 0.8
+"""Soaking of level surfaces off the ground: ledges and roofs drain."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surfaces:
+    """Shares of kinds, and where they lie."""
+
+    points: Float32[np.ndarray, "h w 3"]
+    """In the world, metres."""
+    normals: Float32[np.ndarray, "h w 3"]
+    """Averaged over small surroundings, unit or 0."""
+    upness: Plane
+    """How much a surface lies open to rain from above: 0 to 1."""
+    ground: Plane
+    plants: Plane
+    """Leaves and grass, upon the ground or not."""
+    vehicles: Plane
+    """Without the shadows on the ground that scenes count to them."""
+
+
+# § What is known about the ground in each pixel of a view. World frame, metres.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """The ground as a view sees it. Where `share` is 0 the other maps mean nothing."""
+
+    plane: GroundPlane
+    """Through the ground that the view sees, most of all the near one."""
+    share: Float32[np.ndarray, "h w"]
+    """How much of each pixel is ground, 0..1."""
+    above_m: Float32[np.ndarray, "h w"]
+    """How high over the ground each pixel's surface is; means something wherever depth is known."""
+    points_m: Float64[np.ndarray, "h w 3"]
+    """Where its ray meets the smooth ground, in the world."""
+    normals: Float32[np.ndarray, "h w 3"]
+    """Of the smooth ground: unit, upwards."""
+    sunk_m: Float32[np.ndarray, "h w"]
+    """How far the place lies under what is around it."""
+
+    def of_rows(self, rows: slice) -> "Ground":
+        maps = {name: getattr(self, name)[rows] for name in ("share", "above_m", "points_m", "normals", "sunk_m")}
+        return replace(self, **maps)
+
+    def evened(self) -> "Ground":
+        """Return the same without what is known about dips and ruts."""
+        return replace(self, sunk_m=np.zeros_like(self.sunk_m))
+
+
+def surfaces_of(view: ClearView, ground: Ground | None = None) -> Surfaces:
+    """Tell kinds of surface from colour, up-ness, and height above the ground if that is known."""
+    points = world_points(view.depth, view.camera).astype(np.float32)
+    normals, sure = _smoothed(view.normals, max(1.0, _SMOOTH_SHARE * view.camera.width))
+    upness = smoothstep(*_UP, normals[..., 2]) * sure
+    level = upness if ground is None else _near_ground(view, ground)
+    upness = np.maximum(upness if ground is None else _UP_ELSEWHERE * upness, level)
+    vehicles = view.vehicles * (1 - level)
+    plants = _with_gaps(plant_share(view.image), level) * (1 - vehicles)
+    return Surfaces(points, normals, upness, level, plants, vehicles)
+
+
+def _with_gaps(plants: Plane, level: Plane) -> Plane:
+    """Count what is dark between leaves as leaves; on the ground it is ground."""
+    among = cv2.GaussianBlur(plants, (0, 0), max(1.0, _SMOOTH_SHARE * plants.shape[1]))
+    return np.maximum(plants, smoothstep(*_AMONG, among) * (1 - level))
+
+
+def _near_ground(view: ClearView, ground: Ground) -> Plane:
+    """How surely each pixel lies on the ground by its height alone: normals of real scenes are rough."""
+    slack = _NEAR_GROUND_M + _DEPTH_NOISE * view.depth
+    return (1 - smoothstep(0.5, 1.5, np.abs(ground.above_m) / slack)) * (view.depth > 0)
+
+
+def _smoothed(normals: Float32[np.ndarray, "h w 3"], sigma_px: float) -> tuple[Float32[np.ndarray, "h w 3"], Plane]:
+    """Mean normals, unit or 0, and how surely they are known: what is averaged agrees with itself."""
+    there = (np.abs(normals).sum(axis=-1) > 0).astype(np.float32)
+    mean = cv2.GaussianBlur(normals, (0, 0), sigma_px)
+    length = np.linalg.norm(mean, axis=-1).astype(np.float32)
+    sure = smoothstep(*_AGREEING, length / np.maximum(cv2.GaussianBlur(there, (0, 0), sigma_px), 1e-3)) * there
+    return there[..., None] * mean / np.maximum(length, 1e-6)[..., None], sure
+
+
+# § Leaves and grass, told by their colour.
+
+
+def plant_share(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
+    """How much a display colour looks like leaves and grass: greener than blue and than a warm grey."""
+    red, green, blue = (image[..., i] for i in range(3))
+    brightest = np.maximum(image.max(axis=-1), 1e-3)
+    return smoothstep(0.08, 0.3, (green - blue) / brightest) * smoothstep(-0.06, 0.06, (green - red) / brightest)
+
+
+# § A soft step between two values.
+
+
+def smoothstep(low: float, high: float, x: Float[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n"]:
+    """Rise from 0 at `low` to 1 at `high`."""
+    t = np.clip((x - low) / (high - low), 0, 1).astype(np.float32)
+    return t * t * (3 - 2 * t)
+
+
+_NEAR_M, _NOISE_SHARE = 0.12, 0.006
+"""How far off the ground a pixel's depth may put it: at once, and a metre of distance (depth is less sure there)."""
+
+_LEAST_UP = (0.35, 0.6)
+"""Up-ness of the surface below which a pixel is no ground, and from which it is."""
+
+_SCATTER = 1.5
+"""How many times the scatter of the ground's own points may be added."""
+
+_ROUGH_UP = 6.0
+"""By how much less up-facing a surface may be for each metre of that scatter: normals of a rough depth say little."""
+
+_SMOOTH_GROUND_SHARE = 0.008
+"""Normals are averaged over this share of the picture's width: those of real scenes are rough."""
+
+_GRASSY = (0.05, 0.4)
+"""Share of leaves around a place on the ground from which it mirrors less, and from which nothing."""
+
+_LEAST_PIXELS = 64
+
+_STEPS = 3
+
+_FARTHEST = 0.35
+"""Part of its depth by which a pixel's place may be moved to lie on the smooth ground."""
+
+
+def ground_of(view: ClearView, heights: GroundHeights, start: GroundPlane) -> Ground | None:
+    """Find the ground in a view, given the height map; None where the view shows hardly any."""
+    points = world_points(view.depth, view.camera)
+    rays, normals = view_rays(view.camera), heights.normals(points)
+    above = points[..., 2] - heights.sampled(heights.fine_m, points)
+    near = _NEAR_M + _SCATTER * heights.scatter_m + _NOISE_SHARE * view.depth
+    low, high = (each - _ROUGH_UP * heights.scatter_m for each in _LEAST_UP)
+    level = 1 - smoothstep(0.5, 1.5, np.abs(above) / near)
+    sigma = max(1.0, _SMOOTH_GROUND_SHARE * view.camera.width)
+    up = cv2.GaussianBlur(np.sum(view.normals * normals, axis=-1), (0, 0), sigma)
+    plants = smoothstep(*_GRASSY, cv2.GaussianBlur(plant_share(view.image), (0, 0), sigma))
+    share = level * smoothstep(low, high, up) * (1 - plants) * (view.depth > 0) * (1 - view.sky)
+    share *= 1 - view.vehicles * (1 - level)  # scenes count the shadows under vehicles to them
+    share *= np.sum(rays * normals, axis=-1) < 0
+    seen = share > 0.5
+    if np.count_nonzero(seen) < _LEAST_PIXELS:
+        return None
+    on_ground, sure = _upon(heights, points, rays, view.depth)
+    share *= sure
+    share = cv2.blur(cv2.medianBlur(share.astype(np.float32), 5), (3, 3)) * (view.depth > 0)
+    few = on_ground[seen][:: max(1, np.count_nonzero(seen) // 20000)]
+    plane = settled(start, few, float(near[seen].mean()))
+    sunk_m = heights.sampled(heights.sunk_m, on_ground)
+    return Ground(plane, share, above.astype(np.float32), on_ground, heights.normals(on_ground), sunk_m)
+
+
+def _upon(
+    heights: GroundHeights,
+    points: Float64[np.ndarray, "h w 3"],
+    rays: Float64[np.ndarray, "h w 3"],
+    depth: Float32[np.ndarray, "h w"],
+) -> tuple[Float64[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]]:
+    """Where rays meet the smooth ground, and where they surely do: it is not the bumpy depth that mirrors."""
+    farthest = (_FARTHEST * depth).astype(np.float64)
+    moved = np.zeros_like(farthest)
+    for _ in range(_STEPS):
+        there = points + moved[..., None] * rays
+        over = there[..., 2] - heights.sampled(heights.smooth_m, there)
+        falling = np.minimum(rays[..., 2], -1e-2)
+        moved = np.clip(moved - over / falling, -farthest, farthest)
+    sure = 1 - smoothstep(0.5, 1.0, np.abs(moved) / np.maximum(farthest, 1e-6))
+    return points + moved[..., None] * rays, sure

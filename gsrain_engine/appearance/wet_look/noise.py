@@ -1,0 +1,110 @@
+"""Smooth noise that repeats, as a function of place: the same wherever it is seen from."""
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32, Float64
+
+_SIZE = 512
+
+
+class SmoothNoise:
+    """Gaussian noise of mean 0 and variance 1 whose power falls with frequency f as f^-2 slope, with period 1."""
+
+    def __init__(self, seed: int, slope: float = 1.6) -> None:
+        self._values = _texture(seed, slope)
+
+    def at(self, x: Float[np.ndarray, "h w"], y: Float[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+        """Values at places given in periods."""
+        columns, rows = ((_SIZE * (each - np.floor(each))).astype(np.float32) for each in (x, y))
+        return cv2.remap(self._values, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP).astype(np.float32)
+
+
+@lru_cache(maxsize=8)
+def _texture(seed: int, slope: float) -> Float32[np.ndarray, "n n"]:
+    waves = np.fft.rfft2(np.random.default_rng(seed).standard_normal((_SIZE, _SIZE)))
+    frequency = np.hypot(np.fft.fftfreq(_SIZE)[:, None], np.fft.rfftfreq(_SIZE)[None]) * _SIZE
+    frequency[0, 0] = np.inf
+    values = np.fft.irfft2(waves / frequency**slope, (_SIZE, _SIZE))
+    return (values / values.std()).astype(np.float32)
+
+
+# § Random bumps of the ground, as a function of place in the world: all views see the same. Metres.
+
+_TEXTURE = 512
+"""Bumps along a side until they repeat."""
+
+_BLENDED = 0.85
+"""Standard deviation that cubic blending leaves of independent random heights."""
+
+
+def bumps(points_m: Float[np.ndarray, "h w 3"], size_m: float, turn: float, seed: int) -> Float32[np.ndarray, "h w"]:
+    """Smooth noise of mean 0 and variance 1 on a turned lattice of the given pitch."""
+    c, s = np.cos(turn) / size_m, np.sin(turn) / size_m
+    x, y = points_m[..., 0], points_m[..., 1]
+    across, along = c * x + s * y, c * y - s * x
+    columns, rows = (np.mod(each, _TEXTURE - 4).astype(np.float32) + 1 for each in (across, along))
+    return cv2.remap(_bump_texture(seed), columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_WRAP)
+
+
+@lru_cache(maxsize=32)
+def _bump_texture(seed: int) -> Float32[np.ndarray, "n n"]:
+    """Random heights that repeat; scaled for the variance that blending between them takes away."""
+    side = _TEXTURE - 4
+    values = np.random.default_rng(seed).standard_normal((side, side)).astype(np.float32)
+    return np.pad(values / np.float32(_BLENDED), (1, 3), mode="wrap")
+
+
+# § Small slopes of the water's surface that a picture resolves: reflections get ragged edges from them.
+
+_SIZES_M = (0.45, 0.17, 0.07)
+
+_SEEN = 0.5
+"""Part of a bump's size up to which a pixel's length shows it."""
+
+
+def unevenness(
+    points_m: Float64[np.ndarray, "h w 3"], footprint_m: Float32[np.ndarray, "h w"], seed: int
+) -> Float32[np.ndarray, "h w 2"]:
+    """Slopes along the world's x and y at places, at random, with a standard deviation of 1.
+
+    `footprint_m` is a pixel's length on the ground: bumps that it hides are left out.
+    """
+    slopes = np.zeros((*footprint_m.shape, 2), np.float32)
+    for k, size in enumerate(_SIZES_M):
+        share = np.float32(len(_SIZES_M) ** -0.5) / (1 + np.square(np.minimum(footprint_m / (_SEEN * size), 1e3)))
+        for axis in range(2):
+            slopes[..., axis] += share * bumps(points_m, size, 1.3 * k + axis, 977 * (seed + 1) + 2 * k + axis)
+    return slopes
+
+
+def tilted(
+    normals: Float32[np.ndarray, "h w 3"], slopes: Float32[np.ndarray, "h w 2"], by: float
+) -> Float32[np.ndarray, "h w 3"]:
+    """Tilt upward unit normals by slopes times a number."""
+    tilts = np.concatenate([np.float32(by) * slopes, np.zeros_like(slopes[..., :1])], axis=-1)
+    return (normals + tilts) / np.sqrt(1 + np.sum(tilts * tilts, axis=-1, keepdims=True))
+
+
+# § The guided filter: smooths one picture, and keeps to the edges of another one.
+
+Plane = Float32[np.ndarray, "h w"]
+
+
+def guided(values: Plane, guide: Plane, radius: int, variance: float) -> Plane:
+    """Return `values` as a local linear function of `guide` (He, Sun and Tang 2013).
+
+    Args:
+        values: What is smoothed.
+        guide: Whose edges stay.
+        radius: Of the surroundings, in pixels.
+        variance: Of the guide, from which something is an edge.
+    """
+    size = (2 * radius + 1, 2 * radius + 1)
+    mean, mean_guide = cv2.blur(values, size), cv2.blur(guide, size)
+    together = cv2.blur(values * guide, size) - mean * mean_guide
+    alone = cv2.blur(guide * guide, size) - mean_guide**2
+    slope = together / (np.maximum(alone, 0) + variance)
+    offset = mean - slope * mean_guide
+    return (cv2.blur(slope, size) * guide + cv2.blur(offset, size)).astype(np.float32)

@@ -1,0 +1,218 @@
+"""What the ground mirrors, as a picture: taken by a camera that stands where the eye's mirror image is."""
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, no_type_check
+
+import cv2
+import numba
+import numpy as np
+from jaxtyping import Bool, Float32
+from scipy import ndimage
+
+from ...scene.camera import Camera
+from ..base import ClearView
+from ..normals import view_rays
+from .ground_plane import GroundPlane
+from .masks import Ground
+
+_BELOW_HORIZON, _BESIDE = 0.02, 0.08
+"""Parts of the picture's height and width that the mirror's picture shows more: rough water looks past its edges."""
+
+_ABOVE = 0.35
+"""Tangent by which it looks higher than the flat mirror does."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mirrored:
+    """The picture in the mirror, by the camera below the ground, upright: from the view where the view shows it too."""
+
+    beyond: ClearView
+    """What is not seen in the view; where nothing of the world is, it is sky."""
+    places: Float32[np.ndarray, "h w 2"]
+    """Columns and rows in the view (pixel centres at halves) that show what is mirrored."""
+    known: Float32[np.ndarray, "h w"]
+    """How much of each pixel is taken from there, 0..1; the rest is `beyond`."""
+    depth: Float32[np.ndarray, "h w"]
+    """Metres along the mirror camera's axis; 0 for sky."""
+
+    @property
+    def camera(self) -> Camera:
+        """In the world, below the ground."""
+        return self.beyond.camera
+
+    def picture(
+        self, seen: Float32[np.ndarray, "_ _ 3"], beyond: Float32[np.ndarray, "h w 3"]
+    ) -> Float32[np.ndarray, "h w 3"]:
+        """Put together what the view shows and what is beyond it, each as the rainy day makes it look."""
+        columns, rows = (np.ascontiguousarray(self.places[..., k]) - np.float32(0.5) for k in (0, 1))
+        taken = cv2.remap(seen, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return beyond + self.known[..., None] * (taken - beyond)
+
+
+def mirror_camera(camera: Camera, plane: GroundPlane, scale: float) -> Camera:
+    """Return the mirrored camera, cropped to what the ground can mirror and widened by a margin.
+
+    `scale` is its resolution relative to the eye's. Rays that the ground mirrors rise: what lies under the horizon of
+    the mirrored camera is left out.
+    """
+    turned = plane.mirrored(camera)
+    turn = turned.world_to_camera[:3, :3]
+    up = turn @ plane.normal  # in camera axes (x right, y down, z forward)
+    left, right = (-turned.cx / turned.fx, (turned.width - turned.cx) / turned.fx)
+    top, bottom = (-turned.cy / turned.fy, (turned.height - turned.cy) / turned.fy)
+    corners = np.array([[x, y, 1.0] for x in (left, right) for y in (top, bottom)])
+    # The horizon is where up . (x, y, 1) = 0; rows grow downwards, so up[1] < 0 for an upright camera.
+    horizon = max(-(up[0] * x + up[2]) / up[1] for x in (left, right)) if up[1] < -0.2 else float(corners[:, 1].max())
+    height = bottom - top
+    low = min(horizon + _BELOW_HORIZON * height, bottom + _BELOW_HORIZON * height)
+    high = top - _ABOVE
+    wide = _BESIDE * (right - left)
+    fx, fy = turned.fx * scale, turned.fy * scale
+    width, rows = round((right - left + 2 * wide) * fx), max(round((low - high) * fy), 8)
+    return replace(turned, width=width, height=rows, fx=fx, fy=fy, cx=-(left - wide) * fx, cy=-high * fy)
+
+
+# § What the ground mirrors and the view itself shows: rays followed through its depth (screen-space reflection).
+
+_GROUND = 0.5
+
+_FIRST_M, _GROWTH, _STEPS = 0.03, 1.12, 84
+"""Way of the first step, how much longer each is than the one before, and how many: to about 400 m."""
+
+_HALVINGS = 6
+
+_THICK_M, _THICK_SHARE = 0.2, 0.03
+"""How thick a surface is taken to be: a ray that is farther behind it is hidden, and met nothing that is seen."""
+
+
+class SeenAgain(NamedTuple):
+    """For each pixel of the mirror's picture, where the view shows the same thing."""
+
+    places: Float32[np.ndarray, "h w 2"]
+    """Columns and rows in the view (pixel centres at halves); where the ray left the view, if it was not found."""
+    depth: Float32[np.ndarray, "h w"]
+    """Along the mirror camera's axis in metres; 0 for sky."""
+    found: Bool[np.ndarray, "h w"]
+    left: Bool[np.ndarray, "h w"]
+    """Where the ray left the picture in front of all that it shows."""
+
+    def with_hidden_filled(self) -> "SeenAgain":
+        """Let what is neither seen nor beyond the edge look like the nearest thing in the mirror that is seen."""
+        hidden = ~self.found & ~self.left
+        if not self.found.any():
+            return self
+        nearest: Any = ndimage.distance_transform_edt(~self.found, return_distances=False, return_indices=True)
+        rows, columns = nearest
+        places = np.where(hidden[..., None], self.places[rows, columns], self.places)
+        depth = np.where(hidden, self.depth[rows, columns], self.depth)
+        return SeenAgain(places, depth, self.found | hidden, self.left)
+
+
+def seen_again(view: ClearView, ground: Ground, mirror: Camera) -> SeenAgain:
+    """Follow the rays of the mirror's picture, each from where it leaves the ground, through the view's depth."""
+    size = (mirror.height, mirror.width)
+    places, depth = np.zeros((*size, 2), np.float32), np.zeros(size, np.float32)
+    found, left = np.zeros(size, np.bool_), np.zeros(size, np.bool_)
+    solid = np.where((ground.share > _GROUND) | (view.depth <= 0), np.float32(np.inf), view.depth)
+    is_sky = view.depth <= 0
+    _follow(
+        solid, is_sky, view.camera.world_to_camera, _intrinsics(view.camera), mirror.camera_to_world,
+        _intrinsics(mirror), ground.plane.normal, ground.plane.offset_m, places, depth, found, left,
+    )  # fmt: skip
+    return SeenAgain(places, depth, found, left)
+
+
+def _intrinsics(camera: Camera) -> tuple[float, float, float, float]:
+    return float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _follow(solid, is_sky, pose, eye_lens, mirror_pose, mirror_lens, normal, offset, places, depth, found, left):
+    rows, columns = solid.shape
+    turn = np.ascontiguousarray(pose[:3, :3])
+    for v in numba.prange(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            x, y = (u + 0.5 - mirror_lens[2]) / mirror_lens[0], (v + 0.5 - mirror_lens[3]) / mirror_lens[1]
+            direction = mirror_pose[:3, 0] * x + mirror_pose[:3, 1] * y + mirror_pose[:3, 2]
+            rise = normal[0] * direction[0] + normal[1] * direction[1] + normal[2] * direction[2]
+            below = offset - (
+                normal[0] * mirror_pose[0, 3] + normal[1] * mirror_pose[1, 3] + normal[2] * mirror_pose[2, 3]
+            )
+            if rise <= 1e-4 or below <= 0:
+                continue
+            start = below / rise
+            origin = mirror_pose[:3, 3] + start * direction
+            a = turn @ origin + pose[:3, 3]
+            b = turn @ direction
+            way, before, hidden = 0.0, 0.0, False
+            step = _FIRST_M
+            last_u, last_v, is_out = 0.0, 0.0, False
+            for _ in range(_STEPS):
+                before, way = way, way + step
+                step *= _GROWTH
+                z = a[2] + way * b[2]
+                if z <= 0.05:
+                    is_out = True
+                    break
+                pu = (a[0] + way * b[0]) / z * eye_lens[0] + eye_lens[2]
+                pv = (a[1] + way * b[1]) / z * eye_lens[1] + eye_lens[3]
+                if pu < 0 or pv < 0 or pu >= columns or pv >= rows:
+                    is_out = True
+                    last_u, last_v = min(max(pu, 0.5), columns - 0.5), min(max(pv, 0.5), rows - 0.5)
+                    break
+                last_u, last_v = pu, pv
+                behind = z - solid[int(pv), int(pu)]
+                if behind <= 0:
+                    continue
+                if behind > abs(way - before) * abs(b[2]) * 1.5 + _THICK_M + _THICK_SHARE * z:
+                    hidden = True
+                    continue
+                low, high = before, way
+                for _ in range(_HALVINGS):
+                    middle = 0.5 * (low + high)
+                    z = a[2] + middle * b[2]
+                    mu = (a[0] + middle * b[0]) / z * eye_lens[0] + eye_lens[2]
+                    mv = (a[1] + middle * b[1]) / z * eye_lens[1] + eye_lens[3]
+                    mu, mv = min(max(mu, 0.0), columns - 1.0), min(max(mv, 0.0), rows - 1.0)
+                    if z > solid[int(mv), int(mu)]:
+                        high = middle
+                    else:
+                        low = middle
+                way = high
+                z = a[2] + way * b[2]
+                places[v, u, 0] = (a[0] + way * b[0]) / z * eye_lens[0] + eye_lens[2]
+                places[v, u, 1] = (a[1] + way * b[1]) / z * eye_lens[1] + eye_lens[3]
+                depth[v, u] = start + way  # the ray is one metre of the mirror camera's depth long
+                found[v, u] = not hidden
+                break
+            else:
+                if not hidden and is_sky[int(last_v), int(last_u)]:
+                    places[v, u, 0], places[v, u, 1] = last_u, last_v
+                    found[v, u] = True
+            if is_out:
+                places[v, u, 0], places[v, u, 1] = last_u, last_v
+                left[v, u] = not hidden
+
+
+# § Gaps low over the horizon of a mirror's picture: what was hidden there is no sky.
+
+_LOW = 0.06
+"""Rise of rays (3.4 degrees) up to which something of the world is always in the way."""
+
+
+def without_gaps(view: ClearView, plane: GroundPlane) -> ClearView:
+    """Let what stands over a gap near the horizon reach down to it, under cars or where the captured world ends.
+
+    Where there is nothing at all there is sky.
+    """
+    rays = view_rays(view.camera)
+    rise = (rays @ plane.normal) / np.linalg.norm(rays, axis=-1)
+    gap = (view.depth <= 0) & (rise < _LOW)
+    rows = np.arange(gap.shape[0])[:, None]
+    above = np.maximum.accumulate(np.where(gap, -1, np.where(view.depth > 0, rows, -1)), axis=0)
+    filled = gap & (above >= 0)
+    source, columns = np.where(filled, above, rows), np.arange(gap.shape[1])[None]
+    taken = {name: getattr(view, name)[source, columns] for name in ("image", "depth", "normals", "sky", "vehicles")}
+    taken["sky"] = np.where(taken["depth"] > 0, taken["sky"], np.float32(1))
+    return replace(view, **taken)

@@ -1,0 +1,193 @@
+"""Water on the ground: a film that mirrors roughly, puddles that mirror clearly. Linear light."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64
+from scipy.special import ndtri
+
+from ...scene.camera import Camera
+from ..base import ClearView
+from .environment import Surroundings
+from .glossy import Blurred, MirroredLight, blurred, mirrored_light
+from .masks import Ground, smoothstep
+from .noise import bumps, tilted, unevenness
+from .reflections import Mirrored
+
+Look = Callable[[ClearView], Float32[np.ndarray, "h w 3"]]
+
+_FILM_SLOPE, _FILM_SMOOTHING = 0.09, 0.6
+"""Standard deviation of slope of a thin film over asphalt, and by how much of that a thicker one is smoother."""
+
+_PUDDLE_SLOPE = 0.022
+"""Of standing water that rain falls on: rings of a few millimetres' height, decimetres long."""
+
+_TEXTURE_TILT, _RIPPLE_TILT = 0.016, 0.006
+"""Standard deviations of slope of the bumps that a picture resolves, in the film and in puddles."""
+
+_FILM_COVER = (0.7, 1.0)
+"""Share of the road that the film covers where it is thin and where it is thick: stones stick out of it."""
+
+_FACETS, _PUDDLE_FACETS = 11, 5
+
+_LEAST_SHARE = 0.01
+
+_UNDER_WATER = 0.72
+"""Part of a soaked road's light that gets out through standing water: what is mirrored back into it is absorbed."""
+
+_UNDER_RIM = 0.88
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Water:
+    """What water does to a picture: (1 - share) * through * surface + color. Linear light."""
+
+    color: Float32[np.ndarray, "h w 3"]
+    """Light that the water mirrors, times its share."""
+    share: Float32[np.ndarray, "h w"]
+    """Share of mirrored light, 0..1."""
+    through: Float32[np.ndarray, "h w"]
+    """Part of the light of the ground itself that comes through the water, 0..1; 1 where there is none."""
+
+
+def water_on(
+    view: ClearView,
+    surface: Float32[np.ndarray, "h w 3"],
+    surroundings: Surroundings,
+    look: Look,
+    wetness: float,
+    seed: int,
+) -> Water | None:
+    """Work out the water on the ground of a view; None where there is none.
+
+    Args:
+        view: As it is when clear.
+        surface: The view on the rainy day, but for the water; linear light. It is mirrored where it shows what is.
+        surroundings: Where the ground is, and what else it mirrors.
+        look: Makes any view look like `surface`: what is mirrored from beyond the view goes through it.
+        wetness: 0 (none) to 1.
+        seed: Chooses the puddles.
+    """
+    ground = surroundings.ground(view) if wetness > 0 else None
+    if ground is None:
+        return None
+    wet_rows = np.flatnonzero((ground.share > _LEAST_SHARE).any(axis=1))
+    if not len(wet_rows):
+        return None
+    mirrored = surroundings.mirrored(view, ground)
+    picture = blurred(mirrored.picture(surface, look(mirrored.beyond)))
+    rows = slice(int(wet_rows[0]), int(wet_rows[-1]) + 1)
+    part = _water(ground.of_rows(rows), view.camera, mirrored, picture, wetness, seed)
+    size = view.depth.shape
+    whole = Water(np.zeros((*size, 3), np.float32), np.zeros(size, np.float32), np.ones(size, np.float32))
+    whole.color[rows], whole.share[rows], whole.through[rows] = part.color, part.share, part.through
+    return whole
+
+
+def _water(ground: Ground, camera: Camera, mirrored: Mirrored, picture: Blurred, wetness: float, seed: int) -> Water:
+    footprint = _footprint(ground, camera)
+    standing = standing_water(ground.points_m, footprint, ground.sunk_m, wetness, seed)
+    puddle, is_ground = standing.puddle * ground.share, ground.share > _LEAST_SHARE
+    thick = np.clip(0.6 * standing.patches + 0.5 * standing.rim, 0, 1)
+    slopes = unevenness(ground.points_m, footprint, seed)
+
+    def light(tilt: float, roughness: Float32[np.ndarray, "h w"], facets: int) -> MirroredLight:
+        normals = tilted(ground.normals, slopes, tilt)
+        return mirrored_light(mirrored, picture, camera.position, ground.points_m, normals, roughness, facets)
+
+    roughness = _FILM_SLOPE * (1 - _FILM_SMOOTHING * wetness * thick)
+    film = light(_TEXTURE_TILT, _where(is_ground & (puddle < 0.995), roughness), _FACETS)
+    pool = light(_RIPPLE_TILT, _where(is_ground & (puddle > 0.005), _PUDDLE_SLOPE), _PUDDLE_FACETS)
+    thin, full = _FILM_COVER
+    film_part = (ground.share - puddle) * wetness * (thin + (full - thin) * thick)
+    pool_part = puddle * min(1.0, 4 * wetness)
+    color = film_part[..., None] * film.color + pool_part[..., None] * pool.color
+    share = film_part * film.share + pool_part * pool.share
+    damp = wetness * (standing.rim * ground.share - puddle).clip(0)
+    through = 1 - (1 - _UNDER_WATER) * pool_part - (1 - _UNDER_RIM) * damp
+    return Water(color.astype(np.float32), share.astype(np.float32), through.astype(np.float32))
+
+
+def _where(
+    chosen: Bool[np.ndarray, "h w"], roughness: Float32[np.ndarray, "h w"] | float
+) -> Float32[np.ndarray, "h w"]:
+    """Slopes of facets where they are asked for, and below 0 elsewhere."""
+    return np.where(chosen, roughness, -1).astype(np.float32)
+
+
+def _footprint(ground: Ground, camera: Camera) -> Float32[np.ndarray, "h w"]:
+    """Length in metres of the ground in each pixel, along the line of sight."""
+    away = camera.position - ground.points_m
+    distance = np.linalg.norm(away, axis=-1)
+    flat = np.maximum(np.sum(away * ground.normals, axis=-1) / np.maximum(distance, 1e-6), 0.01)
+    return (distance / (camera.fy * flat)).astype(np.float32)
+
+
+# § Where water stands on the ground: a function of place in the world, so that all views agree. Metres.
+
+_OCTAVES = ((4.3, 0.8), (2.1, 0.9), (1.0, 0.5), (0.47, 0.25), (0.23, 0.13), (0.11, 0.07))
+"""Size of a bump in metres, and its height relative to the first: the finest frays the shores."""
+
+_PATCHES = (0.0, 1.0, 1.0, 0.9, 0.6, 0.6)
+"""Strength of each in the film's thickness."""
+
+_TURN = 2.39996
+"""Radians from one octave's axes to the next one's (the golden angle): no direction repeats."""
+
+_HEIGHT_M = 0.006
+"""Standard deviation of the ground's unevenness that no capture can tell: a road of middling quality."""
+
+_STANDING = 0.12
+"""Share of an even road under standing water when it is soaked."""
+
+_SHORE, _RIM = 0.35, 1.3
+"""Widths, in standard deviations of height, of the shore and of the damp rim about it."""
+
+_UNSEEN = 3.4
+"""Width of the smooth step that is nearest to a normal distribution's, in its standard deviations."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StandingWater:
+    """What stands on the ground; each map is 0..1."""
+
+    puddle: Float32[np.ndarray, "h w"]
+    """Share of each pixel under standing water."""
+    rim: Float32[np.ndarray, "h w"]
+    """How near to it: 1 in the puddle, falling to 0."""
+    patches: Float32[np.ndarray, "h w"]
+    """How the film's thickness differs from place to place: 0.5 on average."""
+
+
+def standing_water(
+    points_m: Float64[np.ndarray, "h w 3"],
+    footprint_m: Float32[np.ndarray, "h w"],
+    sunk_m: Float32[np.ndarray, "h w"],
+    wetness: float,
+    seed: int,
+) -> StandingWater:
+    """Tell where water stands.
+
+    The ground is uneven by a sum of random bumps of halving size, and by `sunk_m`, how far each place is known to lie
+    under its surroundings. Water fills what lies lowest, up to the level under which the share of an even road that the
+    wetness asks for lies. Bumps smaller than a pixel's `footprint_m` are not drawn: there the share of the pixel under
+    water is returned, so nothing flickers far away.
+    """
+    low = np.zeros(points_m.shape[:-1], np.float32)
+    hidden = np.zeros_like(low)
+    patches = np.zeros_like(low)
+    total = float(np.sum([height**2 for _, height in _OCTAVES]))
+    for k, (size, height) in enumerate(_OCTAVES):
+        share = 1 / (1 + np.square(np.square(np.minimum(footprint_m / (0.6 * size), 1e3))))
+        height_there = share * bumps(points_m, size, k * _TURN, seed * 31 + k)
+        low += np.float32(height / np.sqrt(total)) * height_there
+        hidden += np.float32(height**2 / total) * (1 - share**2)
+        patches += np.float32(_PATCHES[k]) * height_there
+    low += sunk_m / np.float32(_HEIGHT_M)
+    level = ndtri(1 - _STANDING * wetness)
+    depth = low - np.float32(level)
+    blur = _SHORE + _UNSEEN * np.sqrt(hidden)
+    return StandingWater(
+        smoothstep(-0.5, 0.5, depth / blur), smoothstep(-_RIM, 0.1, depth), smoothstep(-2.6, 2.6, patches)
+    )

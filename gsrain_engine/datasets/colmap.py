@@ -1,0 +1,412 @@
+"""COLMAP's binary files: cameras.bin, images.bin, points3D.bin, all little-endian."""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from io import TextIOWrapper
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from ..safe_io.limits import open_file, read_file
+from ..scene.camera import Camera
+from .capture import Capture, CaptureError, Lens, View, check_inside, sensor_names, some_names, view_names
+from .geometry import camera_of_picture, checked_camera, rigid_from_quaternion, up_of_cameras
+from .io.images import picture_size, read_color, read_mask
+
+# § What a COLMAP model holds, as plain values: its cameras, its registered images, its points.
+
+PARAMETERS = {
+    "SIMPLE_PINHOLE": 3,
+    "PINHOLE": 4,
+    "SIMPLE_RADIAL": 4,
+    "RADIAL": 5,
+    "OPENCV": 8,
+    "OPENCV_FISHEYE": 8,
+    "FULL_OPENCV": 12,
+    "FOV": 5,
+    "SIMPLE_RADIAL_FISHEYE": 4,
+    "RADIAL_FISHEYE": 5,
+    "THIN_PRISM_FISHEYE": 12,
+    "RAD_TAN_THIN_PRISM_FISHEYE": 16,
+    "SIMPLE_DIVISION": 4,
+    "DIVISION": 5,
+    "SIMPLE_FISHEYE": 3,
+    "FISHEYE": 4,
+    "EUCM": 6,
+    "EQUIRECTANGULAR": 2,
+}
+"""How many parameters a camera model has, in the order of the numbers of binary files (COLMAP's sensor models)."""
+
+_MODELS = tuple(PARAMETERS)
+
+_CAMERA, _IMAGE, _POINT = struct.Struct("<IiQQ"), struct.Struct("<I7dI"), struct.Struct("<Q3d3BdQ")
+
+_COUNT = struct.Struct("<Q")
+
+_SEEN_BYTES, _TRACK_BYTES = 24, 8
+
+_LONGEST_NAME = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class ColmapCamera:
+    """Intrinsics that images share. Its pixels have their first centre at (0.5, 0.5), as ours."""
+
+    id: int
+    model: str
+    width: int
+    height: int
+    parameters: tuple[float, ...]
+
+    def lens(self) -> Lens | None:
+        """What bends its pictures, in OpenCV's terms. Raises `CaptureError` for a model that OpenCV doesn't have."""
+        bends = self.parameters[3 if self.model in _ONE_FOCAL else 4 :]
+        padded = (*bends, *[0.0] * (4 - len(bends)))
+        if self.model in _STRAIGHT or (self.model in _BROWN and not any(bends)):
+            return None
+        if self.model in _BROWN:
+            return Lens("opencv", padded)
+        if self.model in _EQUIDISTANT:
+            return Lens("fisheye", padded)
+        usable = ", ".join((*_STRAIGHT, *_BROWN, *_EQUIDISTANT))
+        raise CaptureError(
+            f"camera {self.id} has the model {self.model}, which OpenCV doesn't have; usable are {usable}, "
+            "and COLMAP's image_undistorter makes straight pictures of any"
+        )
+
+    def pinhole(self, world_to_camera: Float64[np.ndarray, "4 4"]) -> Camera:
+        """The camera without what bends its pictures, at a pose."""
+        p = self.parameters
+        fx, fy, cx, cy = (p[0], p[0], p[1], p[2]) if self.model in _ONE_FOCAL else p[:4]
+        return Camera(self.width, self.height, fx, fy, cx, cy, world_to_camera)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColmapImage:
+    """A registered image: which camera took it, and from where."""
+
+    name: str
+    """Path below the folder of the images."""
+    camera_id: int
+    quaternion_wxyz: tuple[float, float, float, float]
+    """World to camera, with its translation; not always of length one."""
+    translation: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColmapModel:
+    """One reconstruction, in its own unit and axes."""
+
+    cameras: dict[int, ColmapCamera]
+    images: tuple[ColmapImage, ...]
+    points: Float64[np.ndarray, "p 3"]
+    colors: UInt8[np.ndarray, "p 3"]
+
+
+def read_colmap_binary(folder: Path) -> ColmapModel:
+    """Read a model; raises `CaptureError` for a file that is cut, or whose counts don't fit into it."""
+    points, colors = _points(folder / "points3D.bin")
+    return ColmapModel(_cameras(folder / "cameras.bin"), _images(folder / "images.bin"), points, colors)
+
+
+class _Bytes:
+    """A file's bytes and how far they are read; whatever is asked for is checked against what is left."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        try:
+            self.data = read_file(file)
+        except OSError as error:
+            raise CaptureError(f"{file}: can't be read ({error.strerror})") from None
+        self.at = 0
+
+    def take(self, layout: struct.Struct) -> tuple[Any, ...]:
+        start = self.at
+        self.skip(layout.size)
+        return layout.unpack_from(self.data, start)
+
+    def skip(self, size: int) -> None:
+        if size > len(self.data) - self.at:
+            raise CaptureError(f"{self.file}: is cut off at byte {len(self.data)}, {size} more were to come")
+        self.at += size
+
+    def count(self, smallest: int) -> int:
+        """Read a count of records that take at least so many bytes each."""
+        (count,) = self.take(_COUNT)
+        if count > (len(self.data) - self.at) // smallest:
+            raise CaptureError(f"{self.file}: says {count} records, its {len(self.data)} bytes can't hold them")
+        return count
+
+    def name(self) -> str:
+        end = self.data.find(b"\0", self.at, self.at + _LONGEST_NAME)
+        if end < 0:
+            raise CaptureError(f"{self.file}: the image's name at byte {self.at} has no end")
+        text = self.data[self.at : end]
+        self.at = end + 1
+        return text.decode("utf-8", errors="surrogateescape")
+
+
+def _cameras(file: Path) -> dict[int, ColmapCamera]:
+    data = _Bytes(file)
+    cameras: dict[int, ColmapCamera] = {}
+    for _ in range(data.count(_CAMERA.size)):
+        id_, model, width, height = data.take(_CAMERA)
+        if not 0 <= model < len(_MODELS):
+            raise CaptureError(f"{file}: camera {id_} has model number {model}, known are 0..{len(_MODELS) - 1}")
+        parameters = data.take(struct.Struct(f"<{PARAMETERS[_MODELS[model]]}d"))
+        cameras[id_] = ColmapCamera(id_, _MODELS[model], width, height, parameters)
+    return cameras
+
+
+def _images(file: Path) -> tuple[ColmapImage, ...]:
+    data = _Bytes(file)
+    images: list[ColmapImage] = []
+    for _ in range(data.count(_IMAGE.size + 1 + _COUNT.size)):
+        _, qw, qx, qy, qz, tx, ty, tz, camera_id = data.take(_IMAGE)
+        images.append(ColmapImage(data.name(), camera_id, (qw, qx, qy, qz), (tx, ty, tz)))
+        data.skip(data.count(_SEEN_BYTES) * _SEEN_BYTES)
+    return tuple(images)
+
+
+def _points(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarray, "p 3"]]:
+    if not file.is_file():
+        return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+    data = _Bytes(file)
+    count = data.count(_POINT.size)
+    points, colors = np.empty((count, 3)), np.empty((count, 3), np.uint8)
+    for k in range(count):
+        _, x, y, z, r, g, b, _, length = data.take(_POINT)
+        points[k] = x, y, z
+        colors[k] = r, g, b
+        data.skip(length * _TRACK_BYTES)
+    return points, colors
+
+
+_ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE")
+
+_STRAIGHT = ("SIMPLE_PINHOLE", "PINHOLE")
+
+_BROWN = ("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+
+_EQUIDISTANT = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE", "FISHEYE")
+
+# § COLMAP reconstructions as captures: its cameras, images and points, in the unit and the axes that COLMAP chose.
+
+_LAYOUTS = (".", "0", "sparse", "sparse/*", "colmap/sparse/*", "colmap_derived/sparse/*", "distorted/sparse/*")
+
+_IMAGE_FOLDERS = ("images", "input", "image", ".")
+
+_FOLDERS_UP = 4
+
+_LARGEST_NUMBER = 1e12
+
+
+def recognizes_colmap(path: Path) -> bool:
+    """Whether a model lies in the folder, or in one of the usual folders below it."""
+    return bool(_models(path))
+
+
+def read_colmap(path: Path) -> Capture:
+    """Read the model with the most images at or below a folder, binary or text; newer rigs and frames aren't needed.
+
+    Images that are missing, broken, or taken by a camera model that OpenCV lacks are left out and named. Masks of
+    COLMAP's own layout (masks/NAME.png beside images/, black is left out) come along. Raises `CaptureError`.
+    """
+    model_folder, *others = sorted(_models(path), key=_images_bytes, reverse=True)
+    model = _read_model(model_folder)
+    if not model.images:
+        raise CaptureError(f"{model_folder}: the model has no registered image")
+    unread = some_names([str(each) for each in others])
+    problems = [f"Of several models {model_folder} is the largest; unread: {unread}."] if others else []
+    names_file = model_folder / ("images.bin" if (model_folder / "images.bin").is_file() else "images.txt")
+    folder = _image_folder(path, model_folder, model, names_file)
+    check_inside(folder, (image.name for image in model.images), names_file)
+    masks = (_mask_file(folder, image.name) for image in model.images)
+    check_inside(folder.parent, (str(mask) for mask in masks if mask is not None), names_file)
+    images = sorted(model.images, key=lambda image: image.name)
+    pictures = [image.name for image in images]
+    views: list[View] = []
+    left_out: list[str] = []
+    for image, name, sensor in zip(images, view_names(pictures), sensor_names(pictures), strict=True):
+        try:
+            views.append(_view(model, image, folder, name, sensor))
+        except CaptureError as error:
+            left_out.append(str(error))
+    if not views:
+        raise CaptureError(f"{model_folder}: none of its {len(images)} images can be used ({left_out[0]})")
+    problems += [f"{len(left_out)} of {len(images)} images are left out: {some_names(left_out)}."] if left_out else []
+    finite = np.isfinite(model.points).all(axis=1)
+    return Capture(
+        path.resolve().name,
+        tuple(views),
+        points_m=model.points[finite] if finite.any() else None,
+        point_colors=model.colors[finite] if finite.any() else None,
+        is_metric=False,
+        up=up_of_cameras([view.camera for view in views]),
+        problems=tuple(problems),
+    )
+
+
+def _view(model: ColmapModel, image: ColmapImage, folder: Path, name: str, sensor: str) -> View:
+    if image.camera_id not in model.cameras:
+        raise CaptureError(f"image {image.name!r} was taken by camera {image.camera_id}, which the model lacks")
+    taken_by = model.cameras[image.camera_id]
+    file = folder / image.name
+    lens = taken_by.lens()  # what OpenCV lacks has no focal length to look for, either
+    camera = checked_camera(taken_by.pinhole(_pose(image)), f"camera {taken_by.id} or the pose of {image.name!r}")
+    camera = camera_of_picture(camera, picture_size(file), str(file))
+    mask = _mask_file(folder, image.name)
+    return View(
+        name,
+        camera,
+        partial(read_color, file),
+        sensor=sensor,
+        lens=lens,
+        mask_source=partial(read_mask, mask) if mask is not None else None,
+    )
+
+
+def _pose(image: ColmapImage) -> Float64[np.ndarray, "4 4"]:
+    if not all(abs(number) < _LARGEST_NUMBER for number in (*image.quaternion_wxyz, *image.translation)):
+        raise CaptureError(f"image {image.name!r} has a pose whose numbers are not finite, or absurd")
+    try:
+        return rigid_from_quaternion(image.quaternion_wxyz, image.translation)
+    except ValueError as error:
+        raise CaptureError(f"image {image.name!r}: {error}") from None
+
+
+def _models(path: Path) -> list[Path]:
+    folders = [folder for layout in _LAYOUTS for folder in ([path] if layout == "." else sorted(path.glob(layout)))]
+    return [folder for folder in dict.fromkeys(folders) if _is_model(folder)]
+
+
+def _is_model(folder: Path) -> bool:
+    return any(
+        all((folder / f"{name}{suffix}").is_file() for name in ("cameras", "images")) for suffix in (".bin", ".txt")
+    )
+
+
+def _images_bytes(folder: Path) -> int:
+    return max((folder / name).stat().st_size for name in ("images.bin", "images.txt") if (folder / name).is_file())
+
+
+def _read_model(folder: Path) -> ColmapModel:
+    binary = (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file()
+    model = read_colmap_binary(folder) if binary else read_colmap_text(folder)
+    for camera in model.cameras.values():
+        _check_parameters(folder, camera)
+    return model
+
+
+def _check_parameters(folder: Path, camera: ColmapCamera) -> None:
+    expected = PARAMETERS.get(camera.model)
+    if expected is None:
+        raise CaptureError(f"{folder}: camera {camera.id} has the unknown model {camera.model}")
+    if len(camera.parameters) != expected:
+        counted = f"{len(camera.parameters)} parameters, {camera.model} has {expected}"
+        raise CaptureError(f"{folder}: camera {camera.id} has {counted}")
+
+
+def _image_folder(path: Path, model_folder: Path, model: ColmapModel, names_file: Path) -> Path:
+    """Where the pictures lie: beside the model or above it, or in any other folder of `path`.
+
+    It is the one that has the most of the first ones. Raises `CaptureError` where none has any, and where it is a link
+    that leads out of the folder it stands in.
+    """
+    above = [path, *(model_folder.resolve().parents[:_FOLDERS_UP]), model_folder]
+    wanted = [image.name for image in model.images[:10]]
+    usual = [base / name for base in above for name in _IMAGE_FOLDERS]
+    for folders in (usual, [each for each in (*path.glob("*/"), *path.glob("*/*/")) if each.is_dir()]):
+        best = max(folders, key=lambda folder: _holds(folder, wanted), default=None)
+        if best is not None and _holds(best, wanted):
+            check_inside(best.parent, [best.name], names_file)
+            return best
+    there = path / _IMAGE_FOLDERS[0]
+    raise CaptureError(
+        f"{model_folder}: none of its {len(model.images)} images lies in {path} ({wanted[0]}, say); put them into "
+        f"{there}, or a link to where they are (ln -s FOLDER {there}, and --allow-outside)"
+    )
+
+
+def _holds(folder: Path, names: list[str]) -> int:
+    return sum((folder / name).is_file() for name in names)
+
+
+def _mask_file(folder: Path, name: str) -> Path | None:
+    candidates = (folder.parent / "masks" / f"{name}.png", folder.parent / "masks" / Path(name).with_suffix(".png"))
+    return next((file for file in candidates if file.is_file()), None)
+
+
+# § COLMAP's text files: cameras.txt, images.txt, points3D.txt.
+
+_MAX_TEXT_BYTES = 1 << 34
+
+
+def read_colmap_text(folder: Path) -> ColmapModel:
+    """Read a model; raises `CaptureError` that names the file and the line."""
+    points, colors = _text_points(folder / "points3D.txt")
+    return ColmapModel(_text_cameras(folder / "cameras.txt"), _text_images(folder / "images.txt"), points, colors)
+
+
+def _text_cameras(file: Path) -> dict[int, ColmapCamera]:
+    cameras: dict[int, ColmapCamera] = {}
+    for number, line in _lines(file):
+        if not line or line.startswith("#"):
+            continue
+        try:
+            id_, model, width, height, *parameters = line.split()
+            camera = ColmapCamera(int(id_), model, int(width), int(height), tuple(float(each) for each in parameters))
+        except ValueError:
+            raise _bad(file, number, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]") from None
+        cameras[camera.id] = camera
+    return cameras
+
+
+def _text_images(file: Path) -> tuple[ColmapImage, ...]:
+    """Each image has two lines; the second, with what was seen in it, may be empty and is passed by."""
+    images: list[ColmapImage] = []
+    lines = _lines(file)
+    for number, line in lines:
+        if not line or line.startswith("#"):
+            continue
+        try:
+            _, qw, qx, qy, qz, tx, ty, tz, camera_id, name = line.split(maxsplit=9)
+            turn, shift = (float(qw), float(qx), float(qy), float(qz)), (float(tx), float(ty), float(tz))
+            images.append(ColmapImage(name, int(camera_id), turn, shift))
+        except ValueError:
+            raise _bad(file, number, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME") from None
+        next(lines, None)
+    return tuple(images)
+
+
+def _text_points(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarray, "p 3"]]:
+    rows: list[list[float]] = []
+    for number, line in _lines(file) if file.is_file() else ():
+        if not line or line.startswith("#"):
+            continue
+        try:
+            row = [float(each) for each in line.split(maxsplit=7)[1:7]]
+        except ValueError:
+            row = []
+        if len(row) != 6 or not all(0 <= color <= 255 for color in row[3:]):
+            raise _bad(file, number, "POINT3D_ID X Y Z R G B ERROR TRACK[] with colours within 0..255")
+        rows.append(row)
+    table = np.array(rows, np.float64).reshape(-1, 6)
+    return table[:, :3], table[:, 3:].astype(np.uint8)
+
+
+def _lines(file: Path) -> Iterator[tuple[int, str]]:
+    try:
+        with TextIOWrapper(open_file(file, _MAX_TEXT_BYTES), encoding="utf-8") as stream:
+            for number, line in enumerate(stream, 1):
+                yield number, line.strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise CaptureError(f"{file}: can't be read as text ({error})") from None
+
+
+def _bad(file: Path, number: int, expected: str) -> CaptureError:
+    return CaptureError(f"{file}, line {number}: expected {expected}")

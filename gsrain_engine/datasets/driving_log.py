@@ -1,0 +1,140 @@
+"""What readers of driving data gather in the data set's own frames, and how it becomes a capture."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from math import isfinite
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64
+
+from ..scene.geometry import quaternions_from_matrices
+from ..scene.scene import Track
+from .capture import EGO_HEIGHT_M, Capture, CaptureError, Sweep, View
+from .geometry import BoxSample, moved_to, road_height, tracked_boxes, transformed
+
+MOST_POINTS = 24_000_000
+"""Lidar points that a capture holds (0.4 GB); of longer drives every k-th is kept."""
+
+_FARTHEST_M = 1e5
+
+_ROAD_SCANS, _PROBLEMS_TOLD, _FEWER = 8, 24, 0.9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """One turn of a lidar, in the frame of the vehicle (x forward, y left, z up, metres)."""
+
+    time_s: float
+    vehicle_to_world: Float64[np.ndarray, "4 4"]
+    points_m: Float[np.ndarray, "p 3"]
+    origin_m: Float64[np.ndarray, "3"]
+    intensities: Float32[np.ndarray, " p"] | None = None
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.time_s):
+            raise ValueError("its time is not finite")
+        if len(self.points_m) and not np.abs(self.points_m).max() < _FARTHEST_M:
+            raise ValueError(f"holds points that are not finite, or farther than {_FARTHEST_M / 1000:g} km")
+
+
+@dataclass(slots=True, eq=False)
+class DrivingRecord:
+    """A drive in the data set's own world (metres, z up) and clock (seconds)."""
+
+    name: str
+    road_m: float
+    """Height of the road in the vehicle's frame, as the data set says."""
+    views: list[View] = field(default_factory=list[View])
+    """With times of the data set's clock and cameras of its world."""
+    stamps: list[tuple[float, Float64[np.ndarray, "4 4"]]] = field(
+        default_factory=list[tuple[float, Float64[np.ndarray, "4 4"]]]
+    )
+    """Where the vehicle was: time, vehicle to world."""
+    scans: Iterable[Scan] = ()
+    scan_count: int = 0
+    boxes: list[BoxSample] = field(default_factory=list[BoxSample])
+    box_times_s: list[float] = field(default_factory=list[float])
+    problems: list[str] = field(default_factory=list[str])
+
+    def capture(self) -> Capture:
+        """Put the origin at the ego's first place and the clock at the first view; `CaptureError` without views."""
+        self._leave_out_timeless()
+        if not self.views:
+            raise CaptureError(f"{self.name}: no picture that can be used" + _because(self.problems))
+        if not self.stamps:
+            raise CaptureError(f"{self.name}: no place of the vehicle is known" + _because(self.problems))
+        stamps = sorted(dict(self.stamps).items(), key=lambda stamp: stamp[0])
+        scans = iter(self.scans)
+        first = [scan for _, scan in zip(range(_ROAD_SCANS), scans, strict=False)]
+        road_m = road_height((scan.points_m for scan in first), self.road_m)
+        above_road = moved_to(np.array([0.0, 0.0, road_m + EGO_HEIGHT_M]))
+        ego = np.stack([pose @ above_road for _, pose in stamps])
+        shift = moved_to(-ego[0, :3, 3])
+        start = min(view.time_s for view in self.views)
+        self._name_missing_pictures()
+        boxes = tracked_boxes(self.boxes, self.box_times_s or [box.time_s for box in self.boxes])
+        sweeps = tuple(_sweeps(chain(first, scans), self._stride(first), shift, start))
+        return Capture(
+            self.name,
+            tuple(replace(v, camera=v.camera.moved(shift), time_s=_since(start, v.time_s)) for v in self.views),
+            sweeps=sweeps,
+            boxes=tuple(replace(box, track=_later(box.track.moved(shift), start)) for box in boxes),
+            ego=Track(
+                np.array([_since(start, time) for time, _ in stamps]),
+                (ego[:, :3, 3] + shift[:3, 3]),
+                quaternions_from_matrices(ego[:, :3, :3]),
+                np.ones(len(stamps), np.bool_),
+            ),
+            problems=_told(self.problems),
+        )
+
+    def _leave_out_timeless(self) -> None:
+        self.problems.extend(f"{v.name} left out: its time is not finite" for v in self.views if not isfinite(v.time_s))
+        self.views = [view for view in self.views if isfinite(view.time_s)]
+        self.stamps = [stamp for stamp in self.stamps if isfinite(stamp[0])]
+
+    def _name_missing_pictures(self) -> None:
+        counted = Counter(view.sensor for view in self.views)
+        most = max(counted.values())
+        for sensor, count in counted.items():
+            if count < _FEWER * most:
+                self.problems.append(f"{sensor} has pictures of {count} moments, another camera of {most}")
+
+    def _stride(self, first: Sequence[Scan]) -> int:
+        each = float(np.mean([len(scan.points_m) for scan in first])) if first else 0.0
+        stride = max(int(np.ceil(each * self.scan_count / MOST_POINTS)), 1)
+        if stride > 1:
+            self.problems.append(f"the lidar is too long a record for the memory: 1 of {stride} points is kept")
+        return stride
+
+
+def _sweeps(scans: Iterable[Scan], stride: int, shift: Float64[np.ndarray, "4 4"], start_s: float) -> Iterator[Sweep]:
+    for scan in scans:
+        to_world = shift @ scan.vehicle_to_world
+        points = transformed(to_world, scan.points_m[::stride].astype(np.float64)).astype(np.float32)
+        origin = transformed(to_world, scan.origin_m[None])[0]
+        intensities = None if scan.intensities is None else np.ascontiguousarray(scan.intensities[::stride])
+        yield Sweep(_since(start_s, scan.time_s), points, origin, intensities)
+
+
+def _later(track: Track, start_s: float) -> Track:
+    return replace(track, times=np.round(track.times - start_s, 6))
+
+
+def _since(start_s: float, time_s: float) -> float:
+    """Seconds since a time, without the last digits that a clock of years has lost."""
+    return round(time_s - start_s, 6)
+
+
+def _told(problems: Sequence[str]) -> tuple[str, ...]:
+    """Some of many: a download without its pictures has one problem for each."""
+    more = len(problems) - _PROBLEMS_TOLD
+    return (*problems[:_PROBLEMS_TOLD], f"and {more} more problems like these") if more > 1 else tuple(problems)
+
+
+def _because(problems: Sequence[str]) -> str:
+    """The last reason: the first ones are often notes of another kind."""
+    more = f", and {len(problems) - 1} more problems" if len(problems) > 1 else ""
+    return f" ({problems[-1]}{more})" if problems else ""

@@ -1,0 +1,462 @@
+"""Rigid poses as 4x4 matrices: built, inverted, and turned from vehicle axes to those of a camera."""
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Float64
+
+from ..scene.camera import Camera
+from ..scene.files import SceneFormatError
+from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrices
+from ..scene.scene import Track
+from .capture import CaptureError, Lens, Sweep, TrackedBox, View
+
+OPENCV_FROM_VEHICLE_AXES: Float64[np.ndarray, "4 4"] = np.array(
+    [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+"""Turns x forward, y left, z up into x right, y down, z forward."""
+
+_NOT_RIGID, _FARTHEST_M = 1e-2, 1e9
+
+
+def rigid(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, translation
+    return matrix
+
+
+def moved_to(translation: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
+    """Pose without a turn."""
+    return rigid(np.eye(3), translation)
+
+
+def rigid_from_quaternion(quaternion_wxyz: Any, translation: Any) -> Float64[np.ndarray, "4 4"]:
+    """Pose of a quaternion (4 numbers, any length) and a translation (3); ValueError where they are none."""
+    turn, place = np.asarray(quaternion_wxyz, np.float64), np.asarray(translation, np.float64)
+    if turn.shape != (4,) or place.shape != (3,):
+        raise ValueError("a pose has 4 numbers for its rotation (w x y z) and 3 for its translation")
+    in_bounds = np.abs(turn).max() < _FARTHEST_M and np.abs(place).max() < _FARTHEST_M
+    length = np.linalg.norm(turn) if in_bounds else 0.0
+    if not length > 1e-6:
+        raise ValueError("the numbers of a pose must be finite, its place on this planet and its quaternion not zero")
+    return rigid(matrices_from_quaternions(turn / length), place)
+
+
+def rigid_from_numbers(values: Any) -> Float64[np.ndarray, "4 4"]:
+    """Pose of 12 or 16 numbers by rows (nested or flat); ValueError where they are no rigid pose.
+
+    Rounding of the file is taken out of the rotation, up to 1 %.
+    """
+    numbers = np.asarray(values, np.float64)
+    if numbers.size not in (12, 16):
+        raise ValueError(f"a pose has 12 or 16 numbers, not {numbers.size}")
+    rows = numbers.reshape(-1, 4)[:3]
+    rotation = rows[:, :3]
+    if not np.abs(rows).max() < _FARTHEST_M:
+        raise ValueError("the numbers of a pose must be finite, and its place on this planet")
+    if (
+        np.abs(rotation).max() > 2
+        or np.abs(rotation @ rotation.T - np.eye(3)).max() > _NOT_RIGID
+        or np.linalg.det(rotation) < 0
+    ):
+        raise ValueError("a pose must be a rotation without scale or mirroring")
+    return rigid(matrices_from_quaternions(quaternions_from_matrices(rotation)), rows[:, 3])
+
+
+def inverse(pose: Float[np.ndarray, "*n 4 4"]) -> Float64[np.ndarray, "*n 4 4"]:
+    rotation = np.swapaxes(pose[..., :3, :3], -1, -2)
+    matrix = np.zeros(pose.shape)
+    matrix[..., :3, :3] = rotation
+    matrix[..., :3, 3] = -(rotation @ pose[..., :3, 3:])[..., 0]
+    matrix[..., 3, 3] = 1.0
+    return matrix
+
+
+@np.errstate(over="ignore", invalid="ignore")  # what is no number stays none, and is refused by who takes the points
+def transformed(pose: Float[np.ndarray, "4 4"], points_m: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
+    return points_m @ pose[:3, :3].T + pose[:3, 3]
+
+
+def named_pose(values: Mapping[str, Any]) -> Float64[np.ndarray, "4 4"]:
+    """Pose of {translation: {x y z}, rotation: {qw qx qy qz}}, as DGP writes it."""
+    turn, place = values["rotation"], values["translation"]
+    return rigid_from_quaternion([turn[f"q{axis}"] for axis in "wxyz"], [place[axis] for axis in "xyz"])
+
+
+# § Where points of the world (z up or not, any unit) fall in a picture, through OpenCV's lenses too.
+
+_STEPS = 4096
+
+_WIDEST_TANGENT = 100.0
+
+
+def project_points(
+    points: Float[np.ndarray, "p 3"], camera: Camera, lens: Lens | None = None
+) -> tuple[Float64[np.ndarray, "p 2"], Float64[np.ndarray, " p"]]:
+    """Pixel and depth along the view axis of each point; pixels are NaN behind the camera and where the lens can't see.
+
+    A pixel's centre lies at a half: column and row are the whole parts.
+    """
+    local = np.asarray(points, np.float64) @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    depths = np.ascontiguousarray(local[:, 2])
+    pixels = np.full((len(local), 2), np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        tangents = np.hypot(local[:, 0], local[:, 1]) / depths
+        seen = (depths > 0) & (tangents <= largest_tangent(lens))
+    if seen.any():
+        pixels[seen] = _bent(local[seen], camera, lens)
+    return pixels, depths
+
+
+def _bent(local: Float64[np.ndarray, "p 3"], camera: Camera, lens: Lens | None) -> Float64[np.ndarray, "p 2"]:
+    if lens is None:
+        return local[:, :2] / local[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    coefficients, still = np.array(lens.coefficients), np.zeros(3)
+    rows = np.ascontiguousarray(local).reshape(-1, 1, 3)
+    if lens.model == "fisheye":
+        bent, _ = cv2.fisheye.projectPoints(rows, still, still, intrinsics(camera), coefficients)
+    else:
+        bent, _ = cv2.projectPoints(rows, still, still, intrinsics(camera), coefficients)
+    return np.asarray(bent, np.float64).reshape(-1, 2)
+
+
+def intrinsics(camera: Camera, first_center: float = 0.5) -> Float64[np.ndarray, "3 3"]:
+    """Return K for pixels whose first centre lies at `first_center`: 0.5 is ours, 0 is that of OpenCV's pictures."""
+    shift = first_center - 0.5
+    return np.array([[camera.fx, 0, camera.cx + shift], [0, camera.fy, camera.cy + shift], [0, 0, 1.0]])
+
+
+def largest_tangent(lens: Lens | None) -> float:
+    """Tangent of the angle from the axis up to which the lens's polynomial makes sense.
+
+    Beyond, it folds back: points that lie far outside would show up in the picture a second time.
+    """
+    if lens is None:
+        return np.inf
+    if lens.model == "fisheye":
+        angles = np.linspace(0, np.arctan(_WIDEST_TANGENT), _STEPS)
+        k1, k2, k3, k4 = lens.coefficients
+        a2 = angles**2
+        bent = angles * (1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
+        return float(np.tan(angles[_rising(bent)]))
+    k1, k2, _, _, k3, k4, k5, k6 = (*lens.coefficients, *[0.0] * 8)[:8]
+    radii = np.geomspace(1e-3, _WIDEST_TANGENT, _STEPS)
+    r2 = radii**2
+    above, below = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    return float(radii[_rising(np.where(below > 0, radii * above / np.where(below > 0, below, 1), -1.0))])
+
+
+def _rising(values: Float64[np.ndarray, " n"]) -> int:
+    """Index of the last value before the first fall."""
+    falls = np.flatnonzero(np.diff(values) <= 0)
+    return int(falls[0]) if len(falls) else len(values) - 1
+
+
+# § Cameras of calibrations that were made with OpenCV, where the first pixel's centre is (0, 0), not (0.5, 0.5).
+
+_TO_OURS_PX = 0.5
+
+
+def opencv_camera(
+    focal_px: tuple[float, float],
+    center_px: tuple[float, float],
+    size: tuple[int, int],
+    world_to_camera: Float64[np.ndarray, "4 4"],
+) -> Camera:
+    """Build a camera (`size` is width, height); ValueError where its calibration is none."""
+    if not np.isfinite([*focal_px, *center_px]).all() or min(focal_px) <= 0:
+        raise ValueError("its calibration has no focal length above 0 px")
+    cx, cy = (value + _TO_OURS_PX for value in center_px)
+    return Camera(size[0], size[1], focal_px[0], focal_px[1], cx, cy, world_to_camera)
+
+
+def opencv_camera_of_matrix(
+    matrix: Float64[np.ndarray, "..."], size: tuple[int, int], world_to_camera: Float64[np.ndarray, "4 4"]
+) -> Camera:
+    """Build a camera of a 3x3, 3x4 or 4x4 camera matrix."""
+    if matrix.shape not in ((3, 3), (3, 4), (4, 4)):
+        raise ValueError("its calibration has no 3x3 matrix of a camera")
+    fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return opencv_camera((fx, fy), (cx, cy), size, world_to_camera)
+
+
+# § Cameras whose picture was scaled after they were calibrated, and checks of calibrations.
+
+
+def scaled_camera(camera: Camera, width: int, height: int) -> Camera:
+    """The same picture stretched to another size in pixels; what is seen at its edges stays."""
+    sx, sy = width / camera.width, height / camera.height
+    return replace(
+        camera, width=width, height=height, fx=camera.fx * sx, fy=camera.fy * sy, cx=camera.cx * sx, cy=camera.cy * sy
+    )
+
+
+def camera_of_picture(camera: Camera, size: tuple[int, int], picture: str) -> Camera:
+    """Fit a calibration to a picture that was scaled after it; `CaptureError` where the sides' ratio differs."""
+    width, height = size
+    if (width, height) == (camera.width, camera.height):
+        return camera
+    if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
+        expected = f"{camera.width}x{camera.height}"
+        raise CaptureError(
+            f"{picture}: is {width}x{height} px, its camera says {expected}, which has other proportions"
+        )
+    return scaled_camera(camera, width, height)
+
+
+def checked_camera(camera: Camera, what: str) -> Camera:
+    """Return the camera; `CaptureError` for numbers that no camera has (a size of 0, a pose that is no rotation)."""
+    try:
+        return Camera.from_json({**camera.to_json(), "exposure_s": camera.exposure_s}, what)
+    except SceneFormatError as error:
+        raise CaptureError(str(error)) from None
+
+
+# § How high the road lies in a vehicle's frame, from what its lidar saw close by.
+
+_NEAR_M, _LANE_M, _OWN_LENGTH_M, _OWN_WIDTH_M = 15.0, 4.0, 2.0, 1.2
+
+_SLACK_M, _BIN_M, _LEAST = 1.0, 0.05, 50
+
+
+def road_height(clouds: Iterable[Float[np.ndarray, "_ 3"]], expected_m: float) -> float:
+    """Height (m) of the road under the vehicle's origin, in the vehicle's frame (x forward, y left, z up).
+
+    `clouds` are points of some sweeps in that frame, `expected_m` what the data set says. A plane is fitted to the
+    lowest well-filled layer within 15 m and the width of a lane (beside it are kerbs), and read off below the origin.
+    Where too few points lie within 1 m of the expected height, that is the answer.
+    """
+    near = [_near_road(cloud, expected_m) for cloud in clouds]
+    points = np.concatenate(near) if near else np.zeros((0, 3))
+    if len(points) < _LEAST:
+        return expected_m
+    count, edges = np.histogram(points[:, 2], np.arange(-_SLACK_M, _SLACK_M + _BIN_M, _BIN_M) + expected_m)
+    layer = edges[int(np.argmax(count >= 0.5 * count.max()))] + _BIN_M
+    design = np.column_stack([np.ones(len(points)), points[:, :2]])
+    plane, width = np.array([layer, 0.0, 0.0]), 0.3
+    for _ in range(4):
+        inside = np.abs(points[:, 2] - design @ plane) < width
+        if np.count_nonzero(inside) < _LEAST:
+            break
+        plane = np.linalg.lstsq(design[inside], points[inside, 2], rcond=None)[0]
+        width = max(width / 1.5, 0.1)
+    return float(np.clip(plane[0], expected_m - _SLACK_M, expected_m + _SLACK_M))
+
+
+def _near_road(cloud: Float[np.ndarray, "p 3"], expected_m: float) -> Float[np.ndarray, "q 3"]:
+    flat = np.abs(cloud[:, :2])
+    near = (flat[:, 0] < _NEAR_M) & (flat[:, 1] < _LANE_M) & (np.abs(cloud[:, 2] - expected_m) < _SLACK_M)
+    own = (flat[:, 0] < _OWN_LENGTH_M) & (flat[:, 1] < _OWN_WIDTH_M)
+    return np.asarray(cloud[near & ~own], np.float64)
+
+
+# § Which way is up in a world that nobody levelled, from the cameras that stood in it.
+
+_TIE_BREAK = 0.02
+"""Weight of "the pictures' own up on average" beside "right is level": decides only what the latter leaves open."""
+
+_FLAT = 0.02
+"""Places lie in a plane or on a line where their smallest variance is below this part of the largest."""
+
+_STEEPEST_DRIVE = 0.5
+"""Cosine between a way and the pictures' up from which on the way itself is up: a lift or a drone, not a road."""
+
+
+def up_of_cameras(cameras: Sequence[Camera]) -> tuple[float, float, float]:
+    """Estimate the unit upward direction in the world's axes.
+
+    People and cars hold cameras so that the picture's rows are level: up is what is most square to all right axes.
+    Cameras that all look one way leave their pitch open; where they stood on a flat course, up is square to it as well,
+    else it is the mean of the pictures' own up.
+    """
+    rotations = np.stack([camera.world_to_camera[:3, :3] for camera in cameras])
+    right, upright = rotations[:, 0], -rotations[:, 1].mean(axis=0)
+    length = np.linalg.norm(upright)
+    if length < 1e-9:
+        return (0.0, 0.0, 1.0)
+    upright = upright / length
+    against = right.T @ right / len(right) + _course(cameras, upright)
+    against += _TIE_BREAK * (np.eye(3) - np.outer(upright, upright))
+    up = np.linalg.eigh(against)[1][:, 0]
+    up = up if up @ upright > 0 else -up
+    return (float(up[0]), float(up[1]), float(up[2]))
+
+
+def _course(cameras: Sequence[Camera], upright: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """What directions the cameras went along, as a penalty; nothing where they went up, or everywhere."""
+    places = np.stack([camera.position for camera in cameras])
+    scatter = np.cov(places.T, bias=True) if len(places) > 2 else np.zeros((3, 3))
+    variances, directions = np.linalg.eigh(scatter)
+    if variances[2] <= 1e-12 or variances[0] > _FLAT * variances[2]:
+        return np.zeros((3, 3))
+    went = directions[:, 2]
+    return np.zeros((3, 3)) if abs(went @ upright) > _STEEPEST_DRIVE else np.outer(went, went)
+
+
+# § Depth that lidar points have in a view: sparse, and without those that nearer surfaces hide from the camera.
+
+BEAM_GAP_DEG = (0.6, 1.5)
+"""Largest gap between neighbouring beams that is bridged, across and up: that of a lidar with 32 beams."""
+
+_NEARER_PART, _NEARER_M = 0.05, 0.3
+
+_NEAREST_M = 0.1
+
+
+def lidar_depth(view: View, sweeps: Sequence[Sweep]) -> Float32[np.ndarray, "h w"]:
+    """Metres along the view axis where points fall, the nearest of a pixel; 0 elsewhere. A lens is taken into account.
+
+    The lidar stands elsewhere than the camera and sees past things that hide what is behind: a point with nearer
+    points around it, in three of the four quadrants within the gaps between beams, is taken for hidden.
+    """
+    nearest = _nearest(view, [sweep.points_m for sweep in sweeps], _NEAREST_M)
+    nearest[_hidden(nearest, view)] = np.inf
+    return np.where(np.isfinite(nearest), nearest, 0).astype(np.float32)
+
+
+def point_depth(view: View, points: Float[np.ndarray, "p 3"]) -> Float32[np.ndarray, "h w"]:
+    """Depth along the view axis, in the world's unit, of the nearest point in each pixel; 0 where there is none."""
+    nearest = _nearest(view, [points], 0.0)
+    return np.where(np.isfinite(nearest), nearest, 0).astype(np.float32)
+
+
+def _nearest(view: View, clouds: Sequence[Float[np.ndarray, "_ 3"]], from_depth: float) -> Float32[np.ndarray, "h w"]:
+    size = (view.camera.height, view.camera.width)
+    nearest = np.full(size, np.inf, np.float32)
+    for cloud in clouds:
+        pixels, depths = project_points(cloud, view.camera, view.lens)
+        rows, columns, inside = pixels_inside(pixels, size)
+        kept = inside & (depths > from_depth)
+        np.minimum.at(nearest, (rows[kept], columns[kept]), depths[kept].astype(np.float32))
+    return nearest
+
+
+def pixels_inside(
+    pixels: Float64[np.ndarray, "p 2"], size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray, Bool[np.ndarray, " p"]]:
+    """Rows and columns of pixels (0 where outside), and which lie inside a picture of (height, width)."""
+    with np.errstate(invalid="ignore"):
+        inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < size[1]) & (pixels[:, 1] < size[0])
+    whole = np.where(inside[:, None], pixels, 0).astype(np.int64)
+    return whole[:, 1], whole[:, 0], inside
+
+
+def nearest_sweep(view: View, sweeps: Sequence[Sweep]) -> Sweep | None:
+    return min(sweeps, key=lambda sweep: abs(sweep.time_s - view.time_s), default=None)
+
+
+def _hidden(nearest: Float32[np.ndarray, "h w"], view: View) -> Bool[np.ndarray, "h w"]:
+    """Which points have nearer ones in three of the four quadrants; the own row, where a road's points mix, is none."""
+    across, up = np.tan(np.radians(BEAM_GAP_DEG))
+    columns = max(round(view.camera.fx * across), 1) + 1
+    rows = max(round(view.camera.fy * up), 1)
+    window = np.ones((rows, columns), np.uint8)
+    edge = np.full((1, nearest.shape[1]), np.inf, np.float32)
+    above, below = np.concatenate([edge, nearest[:-1]]), np.concatenate([nearest[1:], edge])
+    far_enough = nearest * (1 - _NEARER_PART) - _NEARER_M
+    around = np.zeros(nearest.shape, np.uint8)
+    for beside, anchor_row in ((above, rows - 1), (below, 0)):
+        for anchor_column in (0, columns - 1):
+            least = cv2.erode(beside, window, anchor=(anchor_column, anchor_row), borderValue=np.inf)
+            around += least < far_enough
+    return (around >= 3) & np.isfinite(nearest)
+
+
+# § Annotated boxes of single times put together into boxes over time.
+
+_Pose = Float64[np.ndarray, "4 4"]
+
+_LONGEST_M = 1000.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoxSample:
+    """One annotation: a box at one time."""
+
+    id: str
+    class_name: str
+    time_s: float
+    size_lwh: tuple[float, float, float]
+    """Metres."""
+    center_to_world: Float64[np.ndarray, "4 4"]
+    """Box (x forward, y left, z up, origin at its centre) to world."""
+
+    def __post_init__(self) -> None:
+        if not all(0 < side < _LONGEST_M for side in self.size_lwh):
+            raise ValueError(f"box {self.id!r} has sides {self.size_lwh}, expected 0 to {_LONGEST_M:g} m")
+        if not (np.isfinite(self.center_to_world).all() and np.isfinite(self.time_s)):
+            raise ValueError(f"box {self.id!r} has a pose or a time that is not finite")
+
+    @property
+    def bottom_to_world(self) -> _Pose:
+        """Same axes, origin at the bottom centre."""
+        matrix = self.center_to_world.copy()
+        matrix[:3, 3] -= matrix[:3, 2] * (self.size_lwh[2] / 2)
+        return matrix
+
+
+def tracked_boxes(samples: Iterable[BoxSample], times_s: Sequence[float]) -> tuple[TrackedBox, ...]:
+    """Join the annotations of each thing; `times_s` are all times that were annotated, with or without boxes.
+
+    A thing is there from half-way after the last time without it to half-way before the next one; in these halves, and
+    as far outside the annotated times, it moves on as it did, for cameras fire between lidar sweeps. Its size is the
+    median.
+    """
+    stamps = np.unique([time for time in times_s if np.isfinite(time)])
+    by_id: dict[str, dict[int, BoxSample]] = defaultdict(dict)
+    for sample in samples:
+        by_id[sample.id][int(np.argmin(np.abs(stamps - sample.time_s)))] = sample
+    return tuple(_tracked(found, stamps) for found in by_id.values())
+
+
+def _tracked(found: dict[int, BoxSample], stamps: Float64[np.ndarray, " t"]) -> TrackedBox:
+    rows: list[tuple[float, _Pose, bool]] = []
+    for run in _runs(sorted(found)):
+        poses = [found[index].bottom_to_world for index in run]
+        before, after = _half_gap(stamps, run[0], -1), _half_gap(stamps, run[-1], +1)
+        if not rows and run[0] > 0:
+            rows.append((float(stamps[run[0] - 1]), poses[0], False))
+        times = [float(stamps[index]) for index in run]
+        if before:
+            rows.append((times[0] - before, _moved_on(poses[0], poses[1:2], times[:2], -before), True))
+        rows += [(time, pose, True) for time, pose in zip(times, poses, strict=True)]
+        if after:
+            ended = run[-1] < len(stamps) - 1
+            rows.append((times[-1] + after, _moved_on(poses[-1], poses[-2:-1], times[-2:], after), not ended))
+    matrices = np.stack([pose for _, pose, _ in rows])
+    quaternions = quaternions_from_matrices(matrices[:, :3, :3])
+    valid = np.array([present for _, _, present in rows])
+    track = Track(np.array([time for time, _, _ in rows]), matrices[:, :3, 3].copy(), quaternions, valid)
+    length, width, height = np.median([each.size_lwh for each in found.values()], axis=0).tolist()
+    first = next(iter(found.values()))
+    return TrackedBox(first.id, first.class_name, (length, width, height), track)
+
+
+def _runs(indices: Sequence[int]) -> list[list[int]]:
+    """Split rising numbers where one is left out."""
+    runs: list[list[int]] = []
+    for index in indices:
+        if runs and index == runs[-1][-1] + 1:
+            runs[-1].append(index)
+        else:
+            runs.append([index])
+    return runs
+
+
+def _half_gap(stamps: Float64[np.ndarray, " t"], index: int, side: int) -> float:
+    """Half the time to the neighbour on one side; at an end of the drive, that on the other side."""
+    other = index + side if 0 <= index + side < len(stamps) else index - side
+    return float(abs(stamps[other] - stamps[index]) / 2) if 0 <= other < len(stamps) else 0.0
+
+
+def _moved_on(pose: _Pose, neighbours: Sequence[_Pose], times: Sequence[float], by_s: float) -> _Pose:
+    """Move a pose on in time, as fast as between it and its neighbour."""
+    matrix = pose.copy()
+    if neighbours:
+        step = pose[:3, 3] - neighbours[0][:3, 3]
+        matrix[:3, 3] += step / abs(times[1] - times[0]) * abs(by_s)
+    return matrix

@@ -1,0 +1,128 @@
+"""Pictures of views that something else has made anew: which file belongs to which view, and a capture with them."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from ..scene.files import shortened
+from .capture import Capture, CaptureError, View
+from .capture_folder import read_capture_folder, recognizes_capture_folder
+from .io.images import SUFFIXES, picture_size, read_color
+from .undistort import prepared
+
+_MAX_NAME_BYTES = 200
+"""Of a view's file without the endings that its depth, normals and masks add."""
+
+_PROPORTIONS = 0.05
+"""By so much a picture's sides may differ in ratio from the view's: programs round sizes, but do not crop."""
+
+
+@dataclass(frozen=True, slots=True)
+class OtherPictures:
+    """Pictures in a folder, by their names in it: NAME, SENSOR/NAME."""
+
+    folder: Path
+    files: Mapping[str, Path]
+    straight_sizes: Mapping[str, tuple[int, int]]
+    """Width and height of those that are known to be without lens distortion: a transfer writes such."""
+
+    def file_of(self, name: str, sensor: str = "") -> Path | None:
+        """Find the picture of a view: NAME, SENSOR/NAME, the last part of NAME, or NAME with _ for each /."""
+        found = self._key(name, sensor)
+        return None if found is None else self.files[found]
+
+    def straight_width(self, name: str, sensor: str = "") -> int | None:
+        """Width of the view's picture where it is known to be without lens distortion."""
+        found = self._key(name, sensor)
+        size = None if found is None else self.straight_sizes.get(found)
+        return None if size is None else size[0]
+
+    def left_over(self, views: Iterable[tuple[str, str]]) -> list[str]:
+        """Pictures that belong to none of the views (name, sensor)."""
+        used = {self._key(*view) for view in views}
+        return [name for name in self.files if name not in used]
+
+    def _key(self, name: str, sensor: str) -> str | None:
+        plain = _plain(name)
+        asked = [plain.as_posix(), f"{sensor}/{plain.name}", plain.name, flat_name(name)]
+        return next((each for each in asked if each in self.files), None)
+
+
+def flat_name(name: str) -> str:
+    """Name of a view as that of a file without ending: _ for each /, no picture's ending; a long one is cut."""
+    return shortened(_plain(name).as_posix().replace("/", "_").replace("\\", "_"), _MAX_NAME_BYTES)
+
+
+def _plain(name: str) -> PurePosixPath:
+    path = PurePosixPath(name)
+    return path.with_suffix("") if path.suffix.lower() in SUFFIXES else path
+
+
+def pictures_below(folder: Path) -> OtherPictures:
+    """Look for pictures in a folder and below; of one with cameras (a transfer's), the views' own alone.
+
+    Raises `CaptureError` where there is no such folder.
+    """
+    if not folder.is_dir():
+        raise CaptureError(f"--images {folder}: no such folder")
+    if recognizes_capture_folder(folder):
+        views = read_capture_folder(folder).views
+        where = folder if (folder / f"{views[0].name}.png").is_file() else folder / "images"
+        files = {view.name: where / f"{view.name}.png" for view in views}
+        sizes = {view.name: (view.camera.width, view.camera.height) for view in views if view.lens is None}
+        return OtherPictures(folder, files, sizes)
+    found = sorted(file for file in folder.rglob("*") if file.suffix.lower() in SUFFIXES)
+    return OtherPictures(folder, {file.relative_to(folder).with_suffix("").as_posix(): file for file in found}, {})
+
+
+def with_images(capture: Capture, folder: Path) -> Capture:
+    """Take each view's picture from a folder: NAME, SENSOR/NAME or the last part of NAME, with any picture's ending.
+
+    Pictures of another size are resized to that of the view; those of a transfer have no lens distortion, and so have
+    the views then, which get their size. Views without a picture are left out, and named among the problems, as are
+    pictures without a view. Raises `CaptureError` where the folder has a picture of no view.
+    """
+    pictures = pictures_below(folder)
+    views = tuple(_with_file(view, file, pictures) for view in capture if (file := _file(pictures, view)) is not None)
+    if not views:
+        raise CaptureError(f"--images {folder}: has no picture of a view; expected {capture[0].name}.png, for one")
+    told: list[str] = []
+    missing = [view.name for view in capture if _file(pictures, view) is None]
+    if missing:
+        told.append(f"{len(missing)} views have no picture in {folder}, {missing[0]!r} for one")
+    left_over = pictures.left_over((view.name, view.sensor) for view in capture)
+    if left_over:
+        told.append(f"{len(left_over)} pictures in {folder} belong to no view, {left_over[0]!r} for one")
+    return replace(capture, views=views, problems=(*capture.problems, *told))
+
+
+def _file(pictures: OtherPictures, view: View) -> Path | None:
+    return pictures.file_of(view.name, view.sensor)
+
+
+def _with_file(view: View, file: Path, pictures: OtherPictures) -> View:
+    width = pictures.straight_width(view.name, view.sensor)
+    view = view if width is None else prepared(view, width)
+    size = (view.camera.width, view.camera.height)
+    return replace(view, image_source=lambda: sized_picture(file, size))
+
+
+def check_proportions(file: Path, size: tuple[int, int]) -> None:
+    """Raise `CaptureError` for a picture that can't be one of a view so large (width, height), or is broken."""
+    width, height = picture_size(file)
+    if abs(width * size[1] / (height * size[0]) - 1) > _PROPORTIONS:
+        raise CaptureError(f"{file}: is {width}x{height} px, its view is {size[0]}x{size[1]}: other proportions")
+
+
+def sized_picture(file: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
+    """Read a picture as display colour and bring it to a size (width, height); `CaptureError` where it can't be."""
+    check_proportions(file, size)
+    pixels = read_color(file)
+    if pixels.shape[1::-1] == size:
+        return pixels
+    shrinking = pixels.shape[1] > size[0]
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_CUBIC))

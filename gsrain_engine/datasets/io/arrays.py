@@ -1,0 +1,125 @@
+"""Reads NumPy files of pixels; a file that is cut, or lies about its size, allocates nothing."""
+
+import json
+import os
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from ...safe_io.limits import InputError, open_file, read_file
+from ...safe_io.numpy_files import DAMAGES, array_bytes, read_array_header, read_member
+from ..capture import CaptureError
+
+
+def read_floats(file: Path) -> Float32[np.ndarray, "..."]:
+    """Read a .npy file of real numbers; `CaptureError` that names it where it can't be read."""
+    try:
+        with open_file(file) as stream:
+            shape, is_fortran, dtype = read_array_header(stream)
+            wanted, left = array_bytes(shape, dtype), os.fstat(stream.fileno()).st_size - stream.tell()
+            if wanted != left:
+                raise ValueError(f"an array of {dtype} {shape} takes {wanted} bytes, {left} are there")
+            numbers = np.frombuffer(stream.read(wanted), dtype)
+    except InputError as error:
+        raise CaptureError(str(error)) from None
+    except (OSError, ValueError) as error:
+        raise CaptureError(f"{file}: not a readable .npy file ({error})") from None
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too large for 32 bits becomes infinite
+        return np.array(numbers.reshape(shape, order="F" if is_fortran else "C"), np.float32, order="C")
+
+
+# § Reads one array of a NumPy archive (.npz); what is wrong with it is said with its name.
+
+_MOST_BYTES = 1 << 29
+
+
+def read_npz(file: Path, key: str) -> np.ndarray[Any, np.dtype[Any]]:
+    """Read an array of real numbers by its name.
+
+    Raises `CaptureError` where it is missing, damaged, larger than 0.5 GB, or out of all proportion to its file.
+    """
+    try:
+        with open_file(file) as stream, zipfile.ZipFile(stream) as archive:
+            members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}
+            if key not in members:
+                raise CaptureError(f"{file}: has no array {key!r}, only {', '.join(members) or 'nothing'}")
+            return _array(file, archive, members[key])
+    except FileNotFoundError:
+        raise CaptureError(f"{file}: no such file") from None
+    except CaptureError:
+        raise
+    except InputError as error:
+        raise CaptureError(str(error)) from None
+    except DAMAGES as error:
+        raise CaptureError(f"{file}: not a readable .npz file ({error})") from None
+
+
+def _array(file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray[Any, np.dtype[Any]]:
+    if member.file_size > _MOST_BYTES:
+        raise CaptureError(f"{file}: the array {member.filename!r} is larger than {_MOST_BYTES >> 20} MB")
+    check_expansion(file, member.file_size, file.stat().st_size)
+    return read_member(archive, member)
+
+
+# § How much a small file may become in memory: bombs are known by it before they are unpacked.
+
+_ALWAYS_ALLOWED_BYTES = 64 << 20
+"""What a file of any size may become: pictures of one colour compress without a bound."""
+
+_LARGEST_EXPANSION = 2000
+"""Deflate (PNG, .npz) can't reach 1033; a JPEG of one colour reaches 1024."""
+
+
+def check_expansion(file: Path | str, wanted_bytes: int, file_bytes: int) -> None:
+    """Raise `CaptureError` where a file says that it holds more than its size can be."""
+    if wanted_bytes > max(_ALWAYS_ALLOWED_BYTES, _LARGEST_EXPANSION * file_bytes):
+        raise CaptureError(
+            f"{file}: says that it holds {wanted_bytes / 1e6:.0f} MB, which can't be in {file_bytes} bytes"
+        )
+
+
+# § Reads JSON files of data sets; what is wrong with them is said with their names.
+
+_MAX_BYTES = 1 << 30
+
+
+def read_json(file: Path) -> Any:
+    """Read a JSON file; `CaptureError` that names it where it is missing, broken or larger than 1 GB."""
+    try:
+        return json.loads(read_file(file, _MAX_BYTES).decode("utf-8"))
+    except FileNotFoundError:
+        raise CaptureError(f"{file}: no such file") from None
+    except InputError as error:
+        raise CaptureError(str(error)) from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise CaptureError(f"{file}: not a JSON file that can be read ({error})") from None
+
+
+def read_json_object(file: Path) -> dict[str, Any]:
+    values = read_json(file)
+    if not isinstance(values, dict):
+        raise CaptureError(f"{file}: holds {type(values).__name__}, expected a JSON object")
+    return values
+
+
+def read_json_rows(file: Path) -> list[dict[str, Any]]:
+    rows = read_json(file)
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise CaptureError(f"{file}: expected a JSON list of objects")
+    return rows
+
+
+# § What goes wrong with tables of data sets that are not as their data set has them, put into words.
+
+WRONG_VALUES = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError)
+"""What values of other kinds than expected raise, `CaptureError` among them."""
+
+
+def what_is_wrong(error: Exception) -> str:
+    """Say what a field was wrong about."""
+    if isinstance(error, KeyError):
+        return f"has no field {error.args[0]!r}"
+    return str(error) or type(error).__name__

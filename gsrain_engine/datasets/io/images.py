@@ -1,0 +1,178 @@
+"""Reads pictures of a data set, and tells cheaply whether one is there, whole, and of which size."""
+
+import io
+import os
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Shaped, UInt8
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from ...safe_io.limits import InputError, kind_of_bytes, kind_of_file, open_file
+from ..capture import CaptureError
+from .arrays import check_expansion
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
+"""Names of pictures end with one of these, in small or capital letters."""
+
+UNREAD_SUFFIXES = (
+    ".heic",
+    ".heif",
+    ".avif",
+    ".gif",
+    ".jxl",
+    ".dng",
+    ".cr2",
+    ".cr3",
+    ".nef",
+    ".arw",
+    ".raf",
+    ".orf",
+    ".rw2",
+)
+"""Names of pictures that have to be converted first."""
+
+CONVERT = "of formats that can't be read (convert them to JPEG or PNG)"
+"""Said of pictures whose names end so."""
+
+_MAX_BYTES, _TAIL_BYTES = 1 << 31, 1 << 16
+
+_JPEG_END, _PNG_END = b"\xff\xd9", b"IEND"
+
+_BYTES_OF_A_PIXEL = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I;16L": 2}
+"""Of Pillow's modes; four of all others."""
+
+_LONGEST_PX = 16384
+"""A side of a camera's picture, as of all cameras here."""
+
+_WITH_EXIF = ("JPEG", "MPO", "WEBP", "TIFF")
+"""Formats whose turn stands before the pixels: a PNG would have to be read to its end."""
+
+_BEHIND = "white"
+"""Behind transparent pictures, as viewers and nerfstudio's reader of NeRF's synthetic scenes have it."""
+
+_EXIF_ORIENTATION, _SIDEWAYS = 0x0112, (5, 6, 7, 8)
+
+
+def is_picture(path: Path) -> bool:
+    return path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
+
+
+def unread_pictures_in(folder: Path) -> list[Path]:
+    """Pictures directly in a folder, by name, of formats that can't be read: HEIC of phones, raw files of cameras."""
+    if not folder.is_dir():
+        return []
+    return sorted(
+        file for file in folder.iterdir() if file.suffix.lower() in UNREAD_SUFFIXES and not file.name.startswith(".")
+    )
+
+
+def pictures_in(folder: Path) -> list[Path]:
+    """Pictures directly in a folder, by name; none where there is no such folder."""
+    return sorted(file for file in folder.iterdir() if is_picture(file) and file.is_file()) if folder.is_dir() else []
+
+
+def picture_size(file: Path, upright: bool = False) -> tuple[int, int]:
+    """Width and height in pixels, from the file's head; its end is looked at, too, so that a cut file is found.
+
+    `upright` gives the size as a person looks at it (EXIF). Raises `CaptureError` for what is no whole picture.
+    """
+    with opened_picture(file, str(file)) as picture:
+        width, height = picture.size
+        whole = _ends(file, picture.format)
+        turned = upright and picture.format in _WITH_EXIF and picture.getexif().get(_EXIF_ORIENTATION) in _SIDEWAYS
+    if not whole:
+        raise CaptureError(f"{file}: the picture is cut off; its end is missing")
+    return (height, width) if turned else (width, height)
+
+
+def read_color(file: Path, upright: bool = False) -> UInt8[np.ndarray, "h w 3"]:
+    """Read a picture as display colour, as the sensor lay unless `upright`; what is transparent lies over white.
+
+    Raises `CaptureError` where it can't be read.
+    """
+    with opened_picture(file, str(file)) as opened:
+        picture = ImageOps.exif_transpose(opened) if upright and opened.format in _WITH_EXIF else opened
+        if picture.mode.startswith(("I", "F")):
+            return np.repeat(_eight_bits(np.asarray(picture))[..., None], 3, axis=2)
+        if picture.has_transparency_data:  # the colours under what can't be looked at are of no account
+            clear = picture.convert("RGBA")
+            picture = Image.alpha_composite(Image.new("RGBA", clear.size, _BEHIND), clear)
+        return np.array(picture.convert("RGB"), np.uint8)
+
+
+def read_labels(file: Path) -> UInt8[np.ndarray, "h w"]:
+    """Read a picture of one channel (of several, the first) as it is stored, palettes as their indices."""
+    stored = read_stored(file)
+    first = stored if stored.ndim == 2 else stored[..., 0]
+    if first.dtype != np.bool_ and (first.min(initial=0) < 0 or first.max(initial=0) > 255):
+        raise CaptureError(f"{file}: holds values outside 0..255")
+    return first.astype(np.uint8)
+
+
+def read_stored(file: Path) -> Shaped[np.ndarray, "h w ..."]:
+    """Read the numbers of a picture as they are stored: 16-bit depth, palette indices, all channels."""
+    with opened_picture(file, str(file)) as picture:
+        return np.array(picture)
+
+
+def read_mask(file: Path) -> Bool[np.ndarray, "h w"]:
+    """Read a black and white picture: True where it is not black."""
+    return read_labels(file) > 0
+
+
+@contextmanager
+def opened_picture(source: Path | bytes, name: str) -> Generator[Image.Image]:
+    """Open a picture, a file or its bytes, whose pixels are decoded in the block; `name` is told in errors.
+
+    Raises `CaptureError` where it can't be read, or says that it is larger than its bytes can be.
+    """
+    try:
+        with (
+            io.BytesIO(source) if isinstance(source, bytes) else open_file(source, _MAX_BYTES) as stream,
+            Image.open(stream) as picture,
+        ):
+            size = len(source) if isinstance(source, bytes) else os.fstat(stream.fileno()).st_size
+            if max(picture.size) > _LONGEST_PX:
+                raise CaptureError(
+                    f"{name}: {picture.size[0]}x{picture.size[1]} px; at most {_LONGEST_PX} a side can be used"
+                )
+            pixels = picture.size[0] * picture.size[1]
+            check_expansion(name, pixels * _BYTES_OF_A_PIXEL.get(picture.mode, 4), size)
+            yield picture
+    except FileNotFoundError:
+        raise CaptureError(f"{name}: no such picture") from None
+    except CaptureError:
+        raise
+    except InputError as error:
+        raise CaptureError(f"{name}: {error.strerror}") from None
+    except UnidentifiedImageError:
+        raise CaptureError(f"{name}: not a readable picture: it is {_what_it_is(source)}") from None
+    except Exception:  # a damaged picture fails in as many ways as there are formats
+        raise CaptureError(f"{name}: not a readable picture: it is damaged, or cut off") from None
+
+
+def _what_it_is(source: Path | bytes) -> str:
+    if isinstance(source, Path):
+        return kind_of_file(source, named_rightly=True) or "of no format that is known"
+    return kind_of_bytes(source) or "of no format that is known"
+
+
+def _eight_bits(values: np.ndarray) -> UInt8[np.ndarray, "h w"]:
+    """The upper byte of 16-bit grey."""
+    return (np.clip(np.nan_to_num(values.astype(np.float64)), 0, 65535) / 257 + 0.5).astype(np.uint8)
+
+
+def _ends(file: Path, kind: str | None) -> bool:
+    end = {"JPEG": _JPEG_END, "PNG": _PNG_END}.get(kind or "")
+    if end is None:
+        return True
+    with open_file(file, _MAX_BYTES) as stream:
+        size = stream.seek(0, 2)
+        stream.seek(max(size - _TAIL_BYTES, 0))
+        if end in stream.read():
+            return True
+        stream.seek(0)
+        return kind == "JPEG" and end in stream.read()  # phones put a film behind the picture

@@ -1,0 +1,190 @@
+"""Names the kind of capture that a folder is nearest to, and which parts of it are missing."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+from ..scene.formats.scene_files import scene_files_in
+from .capture import some_names
+from .io.images import CONVERT, pictures_in, unread_pictures_in
+
+_LOOKED_AT = 200
+"""Entries of a folder that a pattern is held against: what is not among them is not looked for any longer."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Something that captures of a kind have: a name for people, and patterns of paths, of which one is enough."""
+
+    name: str
+    patterns: tuple[str, ...]
+    is_clue: bool = True
+    """Whether it tells the kind; pictures alone tell none."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    name: str
+    parts: tuple[_Part, ...]
+    advice: str = ""
+
+
+def _pictures(*folders: str) -> _Part:
+    return _Part(
+        "pictures", tuple(f"{folder}*.{ending}" for folder in folders for ending in ("png", "jpg", "jpeg")), False
+    )
+
+
+_MODELS = ("", "0/", "sparse/", "sparse/*/", "colmap/sparse/*/")
+
+_DRIVES = ("", "*_drive_*/", "*/*_drive_*/")
+
+_KINDS = (
+    _Kind(
+        "KITTI raw",
+        (
+            _Part("image_02", tuple(f"{d}image_0[0-3]/data" for d in _DRIVES)),
+            _Part("oxts", tuple(f"{d}oxts/data" for d in _DRIVES)),
+            _Part(
+                "calib_cam_to_cam.txt", ("calib_cam_to_cam.txt", "*/calib_cam_to_cam.txt", "../calib_cam_to_cam.txt")
+            ),
+        ),
+    ),
+    _Kind(
+        "KITTI object detection",
+        (
+            _Part("image_2", ("image_2", "training/image_2")),
+            _Part("calib", ("calib/[0-9]*.txt", "training/calib/[0-9]*.txt")),
+            _Part("label_2", ("label_2", "training/label_2")),
+            _Part("poses", ("poses.txt",)),
+        ),
+        "it has single pictures and no drives; give its folder image_2",
+    ),
+    _Kind(
+        "KITTI odometry",
+        (
+            _Part("calib.txt", ("calib.txt", "sequences/*/calib.txt")),
+            _Part("times.txt", ("times.txt", "sequences/*/times.txt")),
+            _Part("image_2", ("image_[0-3]", "sequences/*/image_[0-3]")),
+            _Part("poses", ("poses.txt", "poses/*.txt", "../../poses/*.txt")),
+        ),
+    ),
+    _Kind(
+        "nuScenes",
+        (
+            _Part("v1.0-*/sample_data.json", ("v1.0-*/sample_data.json", "sample_data.json")),
+            _Part("v1.0-*/ego_pose.json", ("v1.0-*/ego_pose.json", "ego_pose.json")),
+            _Part("samples", ("samples", "../samples")),
+        ),
+        "MMDetection3D's info file (.pkl) in the same folder would do, too",
+    ),
+    _Kind(
+        "DGP",
+        (
+            _Part("scene_*.json", ("scene_*.json", "*/scene_*.json")),
+            _Part("calibration", ("calibration", "*/calibration")),
+        ),
+    ),
+    _Kind(
+        "Waymo Perception v2",
+        (
+            _Part("camera_image", ("camera_image", "*/camera_image")),
+            _Part("camera_calibration", ("camera_calibration", "*/camera_calibration")),
+            _Part("vehicle_pose", ("vehicle_pose", "*/vehicle_pose")),
+        ),
+    ),
+    _Kind(
+        "RainSense",
+        (
+            _Part(
+                "context/rainfall_intensity.txt", ("context/rainfall_intensity.txt", "*/context/rainfall_intensity.txt")
+            ),
+            _Part("context", ("context", "*/context")),
+        ),
+    ),
+    _Kind(
+        "nerfstudio",
+        (
+            _Part("transforms.json", ("transforms.json", "transforms_train.json")),
+            _Part("other transforms", ("transforms*.json", "*/transforms*.json")),
+        ),
+    ),
+    _Kind(
+        "COLMAP",
+        (
+            _Part("cameras.bin", tuple(f"{m}cameras.{e}" for m in _MODELS for e in ("bin", "txt"))),
+            _Part("images.bin", tuple(f"{m}images.{e}" for m in _MODELS for e in ("bin", "txt"))),
+            _Part("points3D.bin", tuple(f"{m}points3D.{e}" for m in _MODELS for e in ("bin", "txt"))),
+            _Part("sparse", ("sparse/*", "colmap/sparse/*", "*/sparse/*")),
+            _Part("database.db", ("database.db", "*/database.db")),
+        ),
+        "COLMAP's mapper writes sparse/0 with cameras.bin and images.bin",
+    ),
+    _Kind(
+        "3D Gaussian Splatting",
+        (
+            _Part("point_cloud/iteration_*/point_cloud.ply", ("point_cloud/iteration_*/point_cloud.ply",)),
+            _Part("cfg_args", ("cfg_args",)),
+        ),
+        "that is a trained scene: give point_cloud/iteration_*/point_cloud.ply, and its cameras.json as a camera path",
+    ),
+    _Kind("capture folder", (_Part("cameras.json", ("cameras.json", "images/cameras.json")), _pictures("", "images/"))),
+    _Kind("SOG", (_Part("meta.json", ("meta.json",)), _Part("its pictures (*.webp)", ("*.webp",), False))),
+)
+
+_OPTIONAL = frozenset({"points3D.bin", "sparse", "database.db", "other transforms", "label_2", "cfg_args", "context"})
+"""Parts that tell a kind and that nothing needs."""
+
+
+def nearest_kind(path: Path) -> str | None:
+    """Say which kind a folder is nearest to, and what it lacks ("KITTI raw without oxts"); None where nothing tells.
+
+    For a file it is None: its name says what it should be.
+    """
+    if not path.is_dir():
+        return None
+    scenes = scene_files_in(path)
+    if scenes and not scenes[0].endswith(".ply"):  # a .ply may be the point cloud of a capture
+        return f"a folder of scenes (give one of the files in it: {', '.join(scenes)})"
+    best: tuple[float, _Kind, list[str]] | None = None
+    for kind in _KINDS:
+        there = [part for part in kind.parts if any(_is_there(path, pattern) for pattern in part.patterns)]
+        if not any(part.is_clue for part in there):
+            continue
+        share = sum(1.0 if part.is_clue else 0.5 for part in there) / len(kind.parts)
+        missing = [part.name for part in kind.parts if part not in there and part.name not in _OPTIONAL]
+        if best is None or share > best[0]:
+            best = share, kind, missing
+    if best is None and scenes:
+        return f"a folder of scenes (give one of the files in it: {', '.join(scenes)})"
+    if best is None:
+        unread = [] if pictures_in(path) else unread_pictures_in(path) or unread_pictures_in(path / "images")
+        return f"a folder of pictures {CONVERT}: {some_names([file.name for file in unread])}" if unread else None
+    _, kind, missing = best
+    lacks = f" without {_and(missing)}" if missing else ""
+    return f"{kind.name}{lacks}" + (f" ({kind.advice})" if kind.advice else "")
+
+
+def _is_there(folder: Path, pattern: str) -> bool:
+    try:
+        return any(True for _ in islice(_matches(folder, pattern), 1))
+    except OSError:
+        return False
+
+
+def _matches(folder: Path, pattern: str) -> Iterator[Path]:
+    """Paths below a folder that fit a pattern with wildcards; ".." leads to the folders around it."""
+    places = [folder.resolve()]
+    for step in pattern.split("/"):
+        if step == "..":
+            places = [place.parent for place in places]
+        elif any(sign in step for sign in "*?["):
+            places = [found for place in places if place.is_dir() for found in islice(place.glob(step), _LOOKED_AT)]
+        else:
+            places = [place / step for place in places if (place / step).exists()]
+    yield from places
+
+
+def _and(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,256 @@
+"""Whether a capture's poses are what they claim to be: against its lidar, and against what neighbouring views share.
+
+A wrong convention (inverted matrices, OpenGL's axes, cameras mixed up) makes a reconstruction that never gets sharp;
+here it is found within seconds, and named.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal, TypeVar
+
+import numpy as np
+from jaxtyping import Float64
+
+from . import pose_fit
+from .capture import Capture, CaptureError, View
+from .geometry import inverse, nearest_sweep
+from .pose_fit import EdgePicture, EpipolarFit, Features, Matches
+
+# § What a check of poses found, and how it is judged.
+
+Verdict = Literal["fits", "wrong", "doubtful"]
+
+
+@dataclass(frozen=True, slots=True)
+class PoseCheck:
+    """What one check says about the poses of one camera."""
+
+    sensor: str
+    by: Literal["matches", "lidar"]
+    verdict: Verdict
+    """`wrong`: a usual mistake explains it. `doubtful`: these poses don't fit, and no usual mistake does."""
+    figure: float
+    """Share of matches explained; or standard deviations above turned poses."""
+    expected: float
+    """The least that a right pose has."""
+    told: str
+    """The finding as one sentence with its figures."""
+
+
+# § Poses against the lidar: whether edges in depth lie on edges of the pictures.
+
+
+def check_by_lidar(capture: Capture, sensor: str) -> PoseCheck | None:
+    """Check one camera; None where no sweep is near its times."""
+    seen = _seen(capture, [view for view in capture if view.sensor == sensor])
+    if not seen:
+        return None
+    figure = _stands_out(seen, [each.view.camera.world_to_camera for each in seen])
+    others = {other.told: _stands_out(seen, other.poses) for other in hypotheses(capture, [each.view for each in seen])}
+    verdict, why = judged(figure, STANDS_OUT, others, STANDS_OUT + 2 / np.sqrt(len(seen)))
+    told = (
+        f"{sensor or 'the camera'}: edges in the lidar's depth meet edges of the pictures {figure:.1f} standard "
+        f"deviations better than under turned poses (expected over {STANDS_OUT:g}; views: {len(seen)}){why}"
+    )
+    return PoseCheck(sensor, "lidar", verdict, figure, STANDS_OUT, told)
+
+
+# § Poses against what neighbouring views of one camera share: epipolar distances, and points in front of both.
+
+
+def check_by_matches(capture: Capture, sensor: str) -> PoseCheck | None:
+    """Check one camera; None where too little can be matched, or it stood still."""
+    pairs = _matched_pairs([view for view in capture if view.sensor == sensor])
+    if not pairs:
+        return None
+    views = [view for pair in pairs for view in pair.views]
+    fits = _fits(pairs, [view.camera.world_to_camera for view in views])
+    explained = _explained(pairs, fits)
+    others = {other.told: _explained(pairs, _fits(pairs, other.poses)) for other in hypotheses(capture, views)}
+    verdict, why = judged(explained, EXPLAINED, others, EXPLAINED)
+    smaller = min(pose_fit.EPIPOLAR_WIDTH_PX, views[0].camera.width) / views[0].camera.width
+    error_px = float(np.median([each.median_px for each in fits])) / smaller
+    points = sum(len(pair.found.first) for pair in pairs)
+    told = (
+        f"{sensor or 'the camera'}: the poses explain {explained:.0%} of {points} points matched between neighbouring "
+        f"views (expected over {EXPLAINED:.0%}), median epipolar error {error_px:.1f} px{why}"
+    )
+    return PoseCheck(sensor, "matches", verdict, explained, EXPLAINED, told)
+
+
+_CHECKS = (check_by_matches, check_by_lidar)
+
+
+def check_poses(capture: Capture, on_progress: Callable[[float], None] | None = None) -> tuple[PoseCheck, ...]:
+    """Check each camera by all that the capture offers; nothing where it has no poses, or nothing to compare.
+
+    `on_progress` is called with the fraction that is done.
+    """
+    if not capture.has_poses:
+        return ()
+    checks: list[PoseCheck] = []
+    for k, sensor in enumerate(capture.sensors, 1):
+        found = (check(capture, sensor) for check in _CHECKS)
+        checks += [each for each in found if each is not None]
+        if on_progress is not None:
+            on_progress(k / len(capture.sensors))
+    return tuple(checks)
+
+
+STANDS_OUT = 1.5
+"""Standard deviations that a right pose's fit is above that of turned ones. Seen: 1.9-7.8 a view, wrong -2.9-2.7."""
+
+_VIEWS = 4
+
+_WITHIN_S = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    view: View
+    edges: EdgePicture
+    depth_edges: Float64[np.ndarray, "e 3"]
+
+
+def _stands_out(seen: Sequence[_Seen], poses: Sequence[Float64[np.ndarray, "4 4"]]) -> float:
+    """Mean fit of world-to-camera poses; a view into which hardly any point falls counts as 0."""
+    fits = [
+        pose_fit.fit_lidar(each.edges, each.depth_edges, replace(each.edges.view.camera, world_to_camera=pose))
+        for each, pose in zip(seen, poses, strict=True)
+    ]
+    return float(np.mean(np.nan_to_num(fits, nan=0.0)))
+
+
+def _seen(capture: Capture, views: Sequence[View]) -> list[_Seen]:
+    """Some views over the drive with the sweep nearest in time; broken pictures are another check's finding."""
+    seen: list[_Seen] = []
+    for view in spread(views, _VIEWS):
+        sweep = nearest_sweep(view, capture.sweeps)
+        if sweep is None or abs(sweep.time_s - view.time_s) > _WITHIN_S:
+            continue
+        try:
+            seen.append(_Seen(view, pose_fit.edge_picture(view), pose_fit.depth_edges(sweep)))
+        except CaptureError:
+            continue
+    return seen
+
+
+EXPLAINED = 0.6
+"""Share of matches from which poses are right. Right ones explain 83-100 % in real drives, wrong ones up to 52 %."""
+
+_PAIRS = 3
+
+_STRIDES = (1, 2, 4, 8)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pair:
+    views: tuple[View, View]
+    found: Matches
+
+
+def _fits(pairs: Sequence[_Pair], poses: Sequence[Float64[np.ndarray, "4 4"]]) -> list[EpipolarFit]:
+    """How poses explain the pairs; two poses a pair, in their order."""
+    return [pose_fit.fit_epipolar(pair.found, (poses[2 * k], poses[2 * k + 1])) for k, pair in enumerate(pairs)]
+
+
+def _explained(pairs: Sequence[_Pair], fits: Sequence[EpipolarFit]) -> float:
+    return float(np.average([each.explained for each in fits], weights=[len(pair.found.first) for pair in pairs]))
+
+
+def _matched_pairs(views: Sequence[View]) -> list[_Pair]:
+    """Match some views, spread over the row, with their neighbours; where the camera stood still, with later ones."""
+    seen = lru_cache(maxsize=None)(_features)
+    starts = spread(range(len(views) - 1), _PAIRS)
+    found = (_matched_with_a_later_one(views, start, seen) for start in starts)
+    return [pair for pair in found if pair is not None]
+
+
+def _matched_with_a_later_one(
+    views: Sequence[View], start: int, seen: Callable[[View], Features | None]
+) -> _Pair | None:
+    for later in (start + stride for stride in _STRIDES if start + stride < len(views)):
+        if _at_one_place(views[start], views[later]):
+            continue
+        first, second = seen(views[start]), seen(views[later])
+        found = None if first is None or second is None else pose_fit.matches(first, second)
+        if found is not None:
+            return _Pair((views[start], views[later]), found)
+    return None
+
+
+def _at_one_place(first: View, second: View) -> bool:
+    """Whether a camera stood still: then there is no epipolar geometry, and what moves in the picture moves itself."""
+    return bool(np.allclose(first.camera.position, second.camera.position, rtol=0, atol=1e-9))
+
+
+def _features(view: View) -> Features | None:
+    try:
+        return pose_fit.features(view)
+    except CaptureError:
+        return None  # a broken picture is somebody else's finding
+
+
+# § What is usually wrong with poses, as poses that would then be right.
+
+_FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """One explanation of poses that don't fit."""
+
+    told: str
+    """What is wrong, as the end of a sentence."""
+    poses: tuple[Float64[np.ndarray, "4 4"], ...]
+    """World to camera of the views asked for, if that is so."""
+
+
+def hypotheses(capture: Capture, views: Sequence[View]) -> list[Hypothesis]:
+    """Usual mistakes for some views of one camera: inverted, other axes, the poses of another camera of the rig."""
+    given = [view.camera.world_to_camera for view in views]
+    usual = [
+        Hypothesis("the matrices are camera to world, not world to camera", tuple(inverse(pose) for pose in given)),
+        Hypothesis("the camera axes are OpenGL's (y up, z backward)", tuple(_FLIPPED @ pose for pose in given)),
+        Hypothesis(
+            "the matrices are camera to world, with OpenGL's axes", tuple(inverse(pose @ _FLIPPED) for pose in given)
+        ),
+    ]
+    others = [sensor for sensor in capture.sensors if sensor != views[0].sensor]
+    return usual + [Hypothesis(f"the poses are those of {o}", _poses_of(capture, o, views)) for o in others]
+
+
+def _poses_of(capture: Capture, sensor: str, views: Sequence[View]) -> tuple[Float64[np.ndarray, "4 4"], ...]:
+    """Poses of another camera at the times of some views; where times don't tell, at their places in the row."""
+    own, other = ([v for v in capture if v.sensor == each] for each in (views[0].sensor, sensor))
+    places = {view.name: k for k, view in enumerate(own)}
+    nearest = [
+        min(enumerate(other), key=lambda each: (abs(each[1].time_s - view.time_s), abs(each[0] - places[view.name])))[1]
+        for view in views
+    ]
+    return tuple(view.camera.world_to_camera for view in nearest)
+
+
+_Each = TypeVar("_Each")
+
+
+def judged(figure: float, expected: float, others: Mapping[str, float], convincing: float) -> tuple[Verdict, str]:
+    """Whether poses fit, and the end of the sentence: which of the usual mistakes explains it if they don't.
+
+    `others` are the figures under each mistake; one that reaches `convincing` is believed.
+    """
+    if figure >= expected:
+        return "fits", "."
+    best = max(others, key=lambda told: others[told])
+    if others[best] >= max(convincing, figure):
+        return "wrong", f": {best}."
+    return "doubtful", ": the poses or the calibration are wrong, and no usual mistake explains it."
+
+
+def spread(row: Sequence[_Each], at_most: int) -> list[_Each]:
+    """Choose some of a row, evenly."""
+    if not row:
+        return []
+    places = np.linspace(0, len(row) - 1, min(at_most, len(row))).round().astype(np.int64)
+    return [row[k] for k in dict.fromkeys(places.tolist())]

@@ -1,0 +1,317 @@
+"""RainSense as a capture: one sequence with its lidar and its boxes, or the pictures of the whole data set.
+
+Beside what sequence.py reads: context/calib_lid_to_cam.txt (4x4, metres), lidar/frame_NNN.csv with X, Y, Z and
+Reflectivity, and label/label_NNN.txt, a line a thing in KITTI's form (camera axes, turn about y).
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from ..safe_io.limits import read_file
+from ..scene.camera import Camera, look_at
+from .capture import Capture, CaptureError, Lens, Sweep, TrackedBox, View, some_names
+from .geometry import BoxSample, opencv_camera, rigid, tracked_boxes, transformed
+from .io.images import picture_size
+
+_INTENSITY = "context/rainfall_intensity.txt"
+
+_DEPTHS = ("", "*/", "*/*/", "*/*/*/")
+
+_LABEL_WORDS = 15
+
+_FARTHEST_M = 1e6
+
+_NOTED_SKEW, _MOST_SKEWED = 0.005, 0.1
+
+RAIN = "rain_mm_h"
+"""The attribute of each view that says how hard it rained."""
+
+
+def recognizes_rainsense(path: Path) -> bool:
+    """Whether a folder is a RainSense sequence, or has some up to three levels below."""
+    return any(next(path.glob(f"{depth}{_INTENSITY}"), None) is not None for depth in _DEPTHS)
+
+
+def read_rainsense(path: Path) -> Capture:
+    """Read a sequence: pictures, lidar and boxes in the world of its still camera; or all sequences' pictures.
+
+    Raises `CaptureError` that names the file at fault.
+    """
+    try:
+        if (path / _INTENSITY).is_file():
+            return _sequence(path, read_rain_sequence(path.resolve()))
+        return _data_set(path, find_rain_sequences(path))
+    except CaptureError:
+        raise
+    except (ValueError, OSError) as error:
+        raise CaptureError(str(error)) from None
+
+
+# § RainSense: pictures of a roadside camera that stands still in rain of known intensity.
+#
+# A sequence is a folder with image/image_NNN.jpg, context/camera_intrinsics.txt, context/rainfall_intensity.txt and
+# timestamps.txt (IVtest-Lab/RainSense, doi 10.5281/zenodo.17231190).
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RainSequence:
+    """One sequence. Its camera stands level in the world (metres, z up), 1.5 m above the ground, and looks along +x."""
+
+    name: str
+    """The folder below the data set's own, such as light_rain/scene_2/case_000."""
+    intensity_mm_h: float
+    camera: Camera
+    """Its first pixel has its centre at (0.5, 0.5), as everywhere here; the file's own numbers are OpenCV's."""
+    distortion: Float64[np.ndarray, "5"]
+    """OpenCV's k1, k2, p1, p2, k3; the pictures are as the lens made them."""
+    images: tuple[Path, ...]
+    times_s: tuple[float, ...]
+    """Of each picture, from the first time stamp."""
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def picture(self, number: int) -> UInt8[np.ndarray, "h w 3"]:
+        """Read one picture as display colour (RGB). Raises ValueError where it is broken or of another size."""
+        return np.ascontiguousarray(self._read(number, cv2.IMREAD_COLOR)[..., ::-1])
+
+    def grey(self, number: int) -> UInt8[np.ndarray, "h w"]:
+        """Read one picture's luma. Raises as `picture` does."""
+        return self._read(number, cv2.IMREAD_GRAYSCALE)
+
+    def capture(self, numbers: Sequence[int] | None = None) -> Capture:
+        """Some pictures, or all, as a capture; they are read when they are asked for."""
+        chosen = range(len(self)) if numbers is None else numbers
+        lens = Lens("opencv", tuple(self.distortion.tolist()))
+        views = (
+            View(self.images[k].stem, self.camera, partial(self.picture, k), self.times_s[k], lens=lens) for k in chosen
+        )
+        return Capture(self.name, tuple(views))
+
+    def _read(self, number: int, mode: int) -> UInt8[np.ndarray, "..."]:
+        file = self.images[number]
+        picture = _decoded(file, mode)
+        expected = (self.camera.height, self.camera.width)
+        if picture.shape[:2] != expected:
+            raise CaptureError(f"{file}: {picture.shape[:2]} pixels, its sequence begins with {expected}")
+        return np.asarray(picture, np.uint8)
+
+
+def _sequence(folder: Path, sequence: RainSequence) -> Capture:
+    problems: list[str] = []
+    capture = _with_rain(sequence.capture(), sequence)
+    numbers = [int(file.stem.rpartition("_")[2]) for file in sequence.images]
+    times = dict(zip(numbers, sequence.times_s, strict=True))
+    sweeps = _sweeps(folder, sequence, times, problems)
+    return replace(capture, sweeps=sweeps, boxes=_boxes(folder, sequence, times, problems), problems=tuple(problems))
+
+
+def _data_set(path: Path, sequences: Sequence[RainSequence]) -> Capture:
+    captures = [_with_rain(sequence.capture(), sequence) for sequence in sequences]
+    views = [
+        replace(view, name=f"{sequence.name.replace('/', '_')}_{view.name}", sensor=sequence.name)
+        for sequence, capture in zip(sequences, captures, strict=True)
+        for view in capture
+    ]
+    told = (
+        f"{len(sequences)} sequences of several places share no world; open one of their folders for lidar and boxes."
+    )
+    return Capture(path.resolve().name, tuple(views), has_poses=False, problems=(told,))
+
+
+def _with_rain(capture: Capture, sequence: RainSequence) -> Capture:
+    """Say with each view how hard it rained."""
+    rain = {RAIN: f"{sequence.intensity_mm_h:g}"}
+    return replace(capture, views=tuple(replace(view, attributes=rain) for view in capture))
+
+
+def _sweeps(folder: Path, sequence: RainSequence, times: dict[int, float], problems: list[str]) -> tuple[Sweep, ...]:
+    """Lidar frames of the pictures' numbers, in the world of the camera."""
+    files = sorted((folder / "lidar").glob("frame_*.csv"))
+    if not files:
+        return ()
+    broken: list[str] = []
+    sweeps: list[Sweep] = []
+    file = folder / "context" / "calib_lid_to_cam.txt"
+    try:
+        to_world = sequence.camera.camera_to_world @ _lidar_to_camera(file, problems)
+    except (ValueError, OSError) as error:
+        problems.append(f"The lidar is left out: {error}.")
+        return ()
+    for file in files:
+        time_s = times.get(_number(file))
+        try:
+            if time_s is None:
+                raise CaptureError(f"{file}: no picture has its number")
+            sweeps.append(_sweep(file, time_s, to_world))
+        except CaptureError as error:
+            broken.append(str(error))
+    if broken:
+        problems.append(f"{len(broken)} of {len(files)} lidar frames are left out: {some_names(broken)}.")
+    return tuple(sweeps)
+
+
+def _lidar_to_camera(file: Path, problems: list[str]) -> Float64[np.ndarray, "4 4"]:
+    """Return the rotation nearest to what the file holds (by singular values), for its matrix is a little skewed."""
+    matrix = np.array(read_numbers(file, 16)).reshape(4, 4)
+    if not np.abs(matrix).max() < _FARTHEST_M:
+        raise CaptureError(f"{file}: must hold a rotation and a translation on this planet")
+    left, stretch, right = np.linalg.svd(matrix[:3, :3])
+    off = float(np.abs(stretch - 1).max())
+    if not off < _MOST_SKEWED or np.linalg.det(left @ right) < 0:
+        raise CaptureError(f"{file}: must hold a rotation and a translation (it stretches by {off:.1%})")
+    if off > _NOTED_SKEW:
+        problems.append(
+            f"{file} holds no exact rotation (it stretches by {off:.1%}); the nearest one is used, and points may lie "
+            "some pixels beside what they belong to."
+        )
+    return rigid(left @ right, matrix[:3, 3])
+
+
+def _sweep(file: Path, time_s: float, to_world: Float64[np.ndarray, "4 4"]) -> Sweep:
+    try:
+        rows = [line.split(",") for line in read_file(file).decode("utf-8").splitlines()[1:] if line.strip()]
+        table = np.array(rows, np.float64).reshape(-1, 4)
+    except (OSError, ValueError) as error:
+        raise CaptureError(f"{file}: no table of X, Y, Z, Reflectivity ({error})") from None
+    table = table[(np.abs(table) < _FARTHEST_M).all(axis=1)]
+    points = transformed(to_world, table[:, :3]).astype(np.float32)
+    return Sweep(time_s, points, to_world[:3, 3].copy(), table[:, 3].astype(np.float32))
+
+
+def _boxes(
+    folder: Path, sequence: RainSequence, times: dict[int, float], problems: list[str]
+) -> tuple[TrackedBox, ...]:
+    """Each thing of each labelled picture: RainSense doesn't say which is which from one picture to the next."""
+    files = [file for file in sorted((folder / "label").glob("label_*.txt")) if _number(file) in times]
+    samples: list[BoxSample] = []
+    broken: list[str] = []
+    for file in files:
+        try:
+            samples += _labelled(file, sequence, times[_number(file)])
+        except (OSError, ValueError) as error:
+            broken.append(f"{file}: {error}")
+    if broken:
+        problems.append(f"{len(broken)} of {len(files)} label files are left out: {some_names(broken)}.")
+    return tracked_boxes(samples, [times[_number(file)] for file in files])
+
+
+def _labelled(file: Path, sequence: RainSequence, time_s: float) -> list[BoxSample]:
+    samples: list[BoxSample] = []
+    for row, line in enumerate(read_file(file).decode("utf-8").splitlines()):
+        words = line.split()
+        if len(words) < _LABEL_WORDS:
+            if words:
+                raise ValueError(f"line {row + 1} has {len(words)} words, expected {_LABEL_WORDS}")
+            continue
+        height, width, length, x, y, z, turn = (float(word) for word in words[8:_LABEL_WORDS])
+        if not max(abs(number) for number in (x, y, z, turn)) < _FARTHEST_M:
+            raise ValueError(f"line {row + 1} has a place that is none")
+        about_y = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
+        # KITTI: the thing's length lies along its own x, which the turn leads to the camera's axes; y is down.
+        object_axes = rigid(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3))
+        bottom = rigid(about_y, np.array([x, y, z])) @ object_axes
+        bottom[:3, 3] += bottom[:3, 2] * (height / 2)
+        pose = sequence.camera.camera_to_world @ bottom
+        samples.append(BoxSample(f"{file.stem}-{row}", words[0], time_s, (length, width, height), pose))
+    return samples
+
+
+def _number(file: Path) -> int:
+    digits = file.stem.rpartition("_")[2]
+    return int(digits) if digits.isdigit() else -1
+
+
+CAMERA_HEIGHT_M = 1.5
+"""Assumed, for the files don't tell it: the height of a sensor on a car, as the paper has it."""
+
+_SEQUENCE_INTENSITY, _INTRINSICS = Path("context/rainfall_intensity.txt"), Path("context/camera_intrinsics.txt")
+
+_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+
+_LATEST_S = 1e12
+
+_IMAGE_NUMBER = re.compile(r"image_(\d+)\.jpg")
+
+
+def find_rain_sequences(folder: Path) -> list[RainSequence]:
+    """Read every sequence at or below a folder, by rising intensity. Raises ValueError where there is none."""
+    found = sorted(
+        file.parent.parent for file in folder.rglob(_SEQUENCE_INTENSITY.name) if file.parent.name == "context"
+    )
+    if not found:
+        raise ValueError(
+            f"{folder}: no RainSense sequence in it (a folder with {_SEQUENCE_INTENSITY} and image/image_000.jpg)"
+        )
+    sequences = [read_rain_sequence(each, each.relative_to(folder).as_posix()) for each in found]
+    return sorted(sequences, key=lambda each: each.intensity_mm_h)
+
+
+def read_rain_sequence(folder: Path, name: str | None = None) -> RainSequence:
+    """Read what a sequence's text files say, and list its pictures. Raises ValueError that names the file at fault."""
+    images = tuple(sorted(file for file in (folder / "image").glob("*.jpg") if _IMAGE_NUMBER.fullmatch(file.name)))
+    if not images:
+        raise ValueError(f"{folder / 'image'}: no image_NNN.jpg in it")
+    intensity = read_numbers(folder / _SEQUENCE_INTENSITY, 1)[0]
+    if not 0 <= intensity <= 500:
+        raise ValueError(f"{folder / _SEQUENCE_INTENSITY}: {intensity} mm/h, expected 0 to 500")
+    k = read_numbers(folder / _INTRINSICS, 14)
+    first = _decoded(images[0], cv2.IMREAD_GRAYSCALE)
+    eye = np.array([0.0, 0.0, CAMERA_HEIGHT_M])
+    pose = look_at(eye, eye + [1.0, 0.0, 0.0], np.array([0.0, 0.0, 1.0]))
+    try:
+        camera = opencv_camera((k[0], k[4]), (k[2], k[5]), (first.shape[1], first.shape[0]), pose)
+    except ValueError as error:
+        raise ValueError(f"{folder / _INTRINSICS}: {error}") from None
+    times = _times(folder / "timestamps.txt", images)
+    return RainSequence(name or folder.name, intensity, camera, np.array(k[9:14]), images, times)
+
+
+def read_numbers(file: Path, count: int) -> list[float]:
+    """Read the numbers of a file of `name: values` lines and matrix rows."""
+    lines = _text(file).splitlines()
+    words = [word for line in lines for word in _NUMBER.findall(line.rpartition(":")[2])]
+    if len(words) != count:
+        raise ValueError(f"{file}: {len(words)} numbers, expected {count}")
+    return [float(word) for word in words]
+
+
+def _decoded(file: Path, mode: int) -> UInt8[np.ndarray, "..."]:
+    """Decode a picture by OpenCV, as RainSense's own tools do; `CaptureError` where it is broken, or cut off."""
+    picture_size(file)  # a bomb, or a file of another kind, is refused before
+    try:
+        picture = cv2.imdecode(np.frombuffer(read_file(file), np.uint8), mode)
+    except cv2.error:
+        picture = None
+    if picture is None:
+        raise CaptureError(f"{file}: not a readable JPEG")
+    return np.asarray(picture, np.uint8)
+
+
+def _times(file: Path, images: Sequence[Path]) -> tuple[float, ...]:
+    """Seconds of pictures by their numbers: row N belongs to image_N."""
+    rows = _text(file).split()[1:]
+    numbers = [int(match[1]) for image in images if (match := _IMAGE_NUMBER.fullmatch(image.name))]
+    if max(numbers) >= len(rows):
+        raise ValueError(f"{file}: {len(rows)} time stamps, expected at least {max(numbers) + 1}")
+    try:
+        first, *stamps = (float(rows[number].partition(",")[0]) for number in (0, *numbers))
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+    if not all(abs(stamp) < _LATEST_S for stamp in (first, *stamps)):
+        raise ValueError(f"{file}: holds a time that is none")
+    return tuple(stamp - first for stamp in stamps)
+
+
+def _text(file: Path) -> str:
+    try:
+        return read_file(file).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{file}: no text ({error})") from None

@@ -1,0 +1,122 @@
+"""Views made ready for learning: straight lines, a chosen size, and a mask of what the lens really saw."""
+
+from dataclasses import replace
+from functools import lru_cache, partial
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Shaped, UInt8
+
+from ..scene.camera import Camera
+from .capture import Lens, View
+from .geometry import intrinsics, largest_tangent, scaled_camera
+
+_LENSES_KEPT = 8
+"""Maps of so many lenses stay in memory, 8 bytes a pixel each: a rig's cameras."""
+
+_AT_CENTRES = ("depth", "normals", "labels", "sky")
+
+
+def prepared(view: View, width: int | None = None) -> View:
+    """Undistort a view (OpenCV) and bring it to a width, keeping its proportions; nothing is read before it is asked.
+
+    Colour is averaged over area; depth, normals, labels and sky are those at the pixel's centre. The mask is True where
+    all that a pixel averages over was seen by the lens and may be learned from.
+    """
+    camera = view.camera
+    if width is not None:
+        if width < 1:
+            raise ValueError(f"width {width}: must be at least 1 px")
+        camera = scaled_camera(camera, width, max(round(camera.height * width / camera.width), 1))
+    if view.lens is None and camera is view.camera:
+        return view
+    at_centres = {
+        f"{name}_source": partial(_nearest, view, camera, name)
+        for name in _AT_CENTRES
+        if getattr(view, f"{name}_source") is not None
+    }
+    needs_mask = view.lens is not None or view.mask_source is not None
+    return replace(
+        view,
+        camera=camera,
+        lens=None,
+        image_source=partial(_color, view, camera),
+        mask_source=partial(_mask, view, camera) if needs_mask else None,
+        **at_centres,
+    )
+
+
+def _color(view: View, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
+    straight = view.image
+    if view.lens is not None:
+        columns, rows = _lens_map(_key(view.camera), view.lens)
+        straight = cv2.remap(straight, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(_resized(straight, camera), np.uint8)
+
+
+def _mask(view: View, camera: Camera) -> Bool[np.ndarray, "h w"]:
+    size = (view.camera.height, view.camera.width)
+    allowed = view.mask
+    usable = np.ones(size, np.float32) if allowed is None else allowed.astype(np.float32)
+    if view.lens is not None:
+        columns, rows = _lens_map(_key(view.camera), view.lens)
+        usable = cv2.remap(usable, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    return np.asarray(_resized(np.asarray(usable, np.float32), camera) > 1 - 1e-3)
+
+
+def _resized(pixels: Shaped[np.ndarray, "h w ..."], camera: Camera) -> Shaped[np.ndarray, "h2 w2 ..."]:
+    if pixels.shape[:2] == (camera.height, camera.width):
+        return pixels
+    smaller = camera.width < pixels.shape[1]
+    return cv2.resize(
+        pixels, (camera.width, camera.height), interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+    )
+
+
+def _nearest(view: View, camera: Camera, name: str) -> Shaped[np.ndarray, "h w ..."]:
+    """Take each pixel's value from where its centre lies in the original; 0 where the lens never looked."""
+    pixels = getattr(view, name)
+    columns, rows = _source_pixels(view, camera)
+    inside = (columns >= 0) & (columns < view.camera.width) & (rows >= 0) & (rows < view.camera.height)
+    taken = pixels[np.where(inside, rows, 0), np.where(inside, columns, 0)]
+    taken[~inside] = 0
+    return taken
+
+
+def _source_pixels(view: View, camera: Camera) -> tuple[Shaped[np.ndarray, "h w"], Shaped[np.ndarray, "h w"]]:
+    """Column and row in the original picture of each pixel of a camera that stands where the view's does."""
+    if view.lens is not None:
+        columns, rows = _bending_map(_key(view.camera), view.lens, _key(camera))
+        return np.floor(columns + 0.5).astype(np.int64), np.floor(rows + 0.5).astype(np.int64)
+    columns = (np.arange(camera.width) + 0.5) * view.camera.width / camera.width
+    rows = (np.arange(camera.height) + 0.5) * view.camera.height / camera.height
+    both = np.broadcast_arrays(columns[None].astype(np.int64), rows[:, None].astype(np.int64))
+    return both[0], both[1]
+
+
+_Key = tuple[int, int, float, float, float, float]
+
+
+def _key(camera: Camera) -> _Key:
+    """What of a camera decides the map of a lens: its pose does not."""
+    return camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+
+
+@lru_cache(maxsize=_LENSES_KEPT)
+def _lens_map(key: _Key, lens: Lens) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+    return _bending_map(key, lens, key)
+
+
+def _bending_map(
+    source: _Key, lens: Lens, straight: _Key
+) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+    """Column and row (first centre at 0) in the bent picture of each pixel of the straight one; far outside if none."""
+    bent_k, straight_k = intrinsics(Camera(*source), 0.0), intrinsics(Camera(*straight), 0.0)
+    size, coefficients = straight[:2], np.array(lens.coefficients)
+    undistort = cv2.fisheye.initUndistortRectifyMap if lens.model == "fisheye" else cv2.initUndistortRectifyMap
+    columns, rows = undistort(bent_k, coefficients, np.eye(3), straight_k, size, cv2.CV_32FC1)
+    width, height, fx, fy, cx, cy = straight
+    x, y = (np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy
+    folded = np.hypot(x[None], y[:, None]) > largest_tangent(lens)
+    columns[folded] = rows[folded] = -1e6
+    return np.asarray(columns, np.float32), np.asarray(rows, np.float32)

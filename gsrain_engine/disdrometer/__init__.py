@@ -1,0 +1,1 @@
+"""Measured drop spectra: instruments, their files, calibrations fitted to them, and the virtual disdrometer."""

@@ -1,0 +1,184 @@
+"""Products of DISDRODB in NetCDF (L0 to L2E): spectra whose classes and sensor stand in the file."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Float64, Int64, Shaped
+
+from ..safe_io.text_files import printable
+from . import two_dvd
+from .instruments import PARSIVEL, THIES, Instrument
+from .netcdf import in_m_s, in_mm, record_seconds, record_times, reported_rates, usable_records
+from .spectra import MOST_COUNTS, DisdrometerFileError, DropSpectra, Reading, no_record_left
+
+_PRODUCT, _ROLLED, _SENSOR = "disdrodb_product", "disdrodb_rolled_product", "sensor_name"
+
+_COUNTS = ("raw_drop_number", "drop_number", "raw_drop_counts", "drop_counts")
+"""As measured before as filtered: what can be trusted is judged here."""
+
+_DIAMETER, _VELOCITY = "diameter_bin", "velocity_bin"
+
+_CLOSE_MM, _CLOSE_M_S = 0.02, 0.02
+
+_LARGEST_MM, _FASTEST_M_S = 50.0, 50.0
+
+_MAKERS = {"PARSIVEL": PARSIVEL, "PARSIVEL2": PARSIVEL, "LPM": THIES, "LPM_V0": THIES}
+
+_OTHERS = {
+    "RD80": (two_dvd.NAME, two_dvd.AREA_M2),
+    "PWS100": ("Campbell PWS100", 0.004),
+    "ODM470": ("Eigenbrodt ODM470", 0.00264),
+    "SWS250": ("Biral SWS250", 0.006504),
+}
+"""Name and area in m^2, the latter as in DISDRODB's `get_sampling_area`."""
+
+
+def is_disdrodb(dataset: xr.Dataset) -> bool:
+    """Recognize DISDRODB's products by their attributes and bins."""
+    return (
+        {_PRODUCT, _SENSOR} <= set(dataset.attrs)
+        and {f"{_DIAMETER}_lower", f"{_DIAMETER}_upper"} <= set(dataset.variables)
+        and any(name in dataset for name in _COUNTS)
+    )
+
+
+def read_disdrodb(path: Path, dataset: xr.Dataset) -> Reading:
+    """Read a product; of sums that roll on, only those without a common moment.
+
+    What a product leaves out at the ends of a Parsivel's or a Thies's classes is put back, without drops. The rates of
+    L2E follow from the drops: they are no rate of the instrument's own. Raises `DisdrometerFileError` where the bins
+    don't rise, the sensor is of no kind that is known, or no record can be used.
+    """
+    name = next(each for each in _COUNTS if each in dataset)
+    measures_speed = f"{_VELOCITY}_center" in dataset[name].dims
+    dims = ("time", f"{_DIAMETER}_center", *((f"{_VELOCITY}_center",) if measures_speed else ()))
+    if set(dataset[name].dims) != set(dims):
+        raise DisdrometerFileError(
+            path, f"{name} has the dimensions {', '.join(map(str, dataset[name].dims))}, not {', '.join(dims)}"
+        )
+    if dataset[name].size > MOST_COUNTS:
+        raise DisdrometerFileError(path, f"{dataset.sizes['time']} spectra: split the file by days")
+    if dataset.sizes["time"] == 0:
+        raise DisdrometerFileError(path, no_record_left(()))
+    counts = dataset[name].transpose(*dims).to_numpy().astype(np.float64)
+    times = record_times(dataset, "time")
+    seconds, reported = record_seconds(dataset, "time", times), reported_rates(dataset, "time")
+    usable, skipped = usable_records(counts.reshape(len(counts), -1), times)
+    if str(dataset.attrs.get(_ROLLED, "")).lower() == "true":
+        overlapping = _overlapping(times, seconds)
+        skipped += [
+            f"record {i + 1} ({times[i]}): it overlaps the one before (sums that roll on)"
+            for i in np.flatnonzero(usable & overlapping)
+        ]
+        usable &= ~overlapping
+    if not usable.any():
+        raise DisdrometerFileError(path, no_record_left(skipped))
+    picked = np.flatnonzero(usable)[np.argsort(times[usable], kind="stable")]
+    return _reading(path, dataset, counts[picked], times[picked], seconds[picked], reported[picked], skipped)
+
+
+def _reading(
+    path: Path,
+    dataset: xr.Dataset,
+    counts: Float64[np.ndarray, "records diameters *velocities"],
+    times: Shaped[np.ndarray, " records"],
+    seconds: Float64[np.ndarray, " records"],
+    reported_mm_h: Float64[np.ndarray, " records"],
+    skipped: list[str],
+) -> Reading:
+    sensor = str(dataset.attrs[_SENSOR])
+    kind = sensor.upper().replace("-", "").removeprefix("OTT_").removeprefix("THIES_")
+    diameters = _edges(path, dataset, _DIAMETER, in_mm, _LARGEST_MM)
+    velocities = _edges(path, dataset, _VELOCITY, in_m_s, _FASTEST_M_S) if counts.ndim == 3 else None
+    maker = _MAKERS.get(kind)
+    if maker is not None and velocities is not None:
+        rows = _places(path, "diameter", diameters, maker.diameter_edges_mm, _CLOSE_MM)
+        columns = _places(path, "velocity", velocities, maker.velocity_edges_m_s, _CLOSE_M_S)
+        whole = np.zeros((len(counts), *maker.shape))
+        whole[:, rows[:, None], columns] = counts
+        return maker.reading(
+            path, whole.reshape(len(whole), -1), "diameters first", times, seconds, reported_mm_h, skipped
+        )
+    if maker is not None or kind not in _OTHERS:
+        known = ", ".join((*_MAKERS, *_OTHERS))
+        needed = "has no fall speeds" if maker is not None else f"is none whose area is known ({known})"
+        raise DisdrometerFileError(path, f"{_SENSOR} {printable(sensor, 60)} {needed}")
+    name, area_m2 = _OTHERS[kind]
+    area = np.full(len(diameters) - 1, area_m2)
+    if velocities is not None:
+        other = Instrument(name=name, diameter_edges_mm=diameters, velocity_edges_m_s=velocities, area_m2=area)
+        return other.reading(
+            path, counts.reshape(len(counts), -1), "diameters first", times, seconds, reported_mm_h, skipped
+        )
+    spectra = DropSpectra(
+        instrument=name,
+        times=times,
+        seconds=seconds,
+        diameter_edges_mm=diameters,
+        velocity_edges_m_s=None,
+        counts=counts[:, :, None],
+        area_m2=area,
+        reported_mm_h=reported_mm_h,
+    )
+    return Reading(spectra=spectra, skipped=tuple(skipped))
+
+
+def _edges(
+    path: Path,
+    dataset: xr.Dataset,
+    axis: str,
+    convert: Callable[[xr.DataArray], Float64[np.ndarray, "..."] | None],
+    largest: float,
+) -> Float64[np.ndarray, " edges"]:
+    bounds: list[Float64[np.ndarray, " classes"]] = []
+    for side in ("lower", "upper"):
+        name = f"{axis}_{side}"
+        if name not in dataset.variables or dataset[name].dims != (f"{axis}_center",):
+            raise DisdrometerFileError(path, f"{name} is missing: the bounds of the classes")
+        # DISDRODB leaves the unit out at some of them; it is always mm or m/s.
+        values = (
+            convert(dataset[name]) if dataset[name].attrs.get("units") else dataset[name].to_numpy().astype(np.float64)
+        )
+        if values is None:
+            raise DisdrometerFileError(
+                path, f"{name} is in {printable(dataset[name].attrs['units'], 40)}, not in mm or m/s"
+            )
+        bounds.append(values)
+    lower, upper = bounds
+    edges = np.append(lower, upper[-1:])
+    if not (edges.size >= 2 and edges[0] >= 0 and edges[-1] <= largest and (np.diff(edges) > 0).all()):
+        raise DisdrometerFileError(path, f"{axis}_lower and {axis}_upper must rise within 0 to {largest:g}")
+    if not np.allclose(lower[1:], upper[:-1], atol=1e-3):
+        raise DisdrometerFileError(path, f"{axis}_upper: each class must end where the next begins")
+    return edges
+
+
+def _places(
+    path: Path, axis: str, edges: Float64[np.ndarray, " edges"], known: Float64[np.ndarray, " known"], close: float
+) -> Int64[np.ndarray, " classes"]:
+    """Indices of the file's classes among the maker's."""
+    first = int(np.argmin(np.abs(known - edges[0])))
+    run = known[first : first + len(edges)]
+    if len(run) != len(edges) or not np.allclose(run[:-1], edges[:-1], atol=close, rtol=0):
+        # The last bound aside: an open class ends anywhere.
+        raise DisdrometerFileError(path, f"{axis}_bin_lower: its classes are not those of the sensor that it names")
+    return np.arange(first, first + len(edges) - 1)
+
+
+def _overlapping(
+    times: Shaped[np.ndarray, " records"], seconds: Float64[np.ndarray, " records"]
+) -> Bool[np.ndarray, " records"]:
+    """Records that begin before the last one before them that doesn't overlap has ended; times are ends."""
+    overlapping = np.zeros(len(times), bool)
+    ends = times.astype("datetime64[ms]")
+    last_end = None
+    for i in np.argsort(ends, kind="stable"):
+        if np.isnat(ends[i]):
+            continue
+        start = ends[i] - np.timedelta64(round(1000 * float(seconds[i])), "ms")
+        overlapping[i] = last_end is not None and start < last_end
+        if not overlapping[i]:
+            last_end = ends[i]
+    return overlapping

@@ -1,0 +1,272 @@
+"""A disdrometer file as people and programs are shown it: what it holds, what is rejected, whether its rates agree."""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..safe_io.text_files import printable
+from .filter import QualityReport, keep_trusted
+from .measurement import INSTRUMENT as VIRTUAL_INSTRUMENT
+from .open import read_disdrometer
+from .spectra import DropSpectra, Reading
+from .tables import TableColumns
+
+LOWEST_CHECKED_MM_H = 0.5
+"""Rates below are too coarse to compare: a Parsivel's telegram rounds them."""
+
+FEWEST_CHECKED = 30
+"""Records above `LOWEST_CHECKED_MM_H`; of fewer, a ratio says little."""
+
+FEWEST_FAR_OFF, FAR_OFF = 5, 3.0
+"""So few records are enough where the ratio is beyond 3 or 1/3."""
+
+LOWEST_RATIO, HIGHEST_RATIO, LOWEST_CORRELATION = 0.7, 1.4, 0.9
+"""Real Parsivels' drops give 0.98 to 1.14 times their own rate, with r of 0.99; snow and insects 2 to 80 times."""
+
+_REASONS = 5
+"""Shown of each file, the most frequent first."""
+
+_LONGEST_NAME = 80
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RateCheck:
+    """The rate from the drops against the instrument's own, over records that report more than 0.5 mm/h."""
+
+    records: int
+    ratio: float
+    """Sum over sum."""
+    correlation: float | None
+    """None where all records have the same rate."""
+
+    @property
+    def problem(self) -> str | None:
+        """Why such drops are no base for a calibration, in one sentence; None where rates agree, or are too few."""
+        far_off = self.records >= FEWEST_FAR_OFF and not 1 / FAR_OFF <= self.ratio <= FAR_OFF
+        if self.records < FEWEST_CHECKED and not far_off:
+            return None
+        low = self.correlation is not None and self.correlation < LOWEST_CORRELATION
+        if LOWEST_RATIO <= self.ratio <= HIGHEST_RATIO and not low:
+            return None
+        return (
+            f"its drops give {self.ratio:.3g} times the instrument's own rain rate, {_correlation(self.correlation)}, "
+            f"in {self.records:,} records above {LOWEST_CHECKED_MM_H:g} mm/h; rain gives {LOWEST_RATIO:g} to "
+            f"{HIGHEST_RATIO:g} times and r of {LOWEST_CORRELATION:g} or more"
+        )
+
+    @property
+    def figures(self) -> str:
+        return f"{self.ratio:.3f}, {_correlation(self.correlation)}"
+
+    @property
+    def agrees(self) -> bool | None:
+        """None where the records are too few to say."""
+        if self.problem is not None:
+            return False
+        return None if self.records < FEWEST_CHECKED else True
+
+    @property
+    def line(self) -> str:
+        """The figures, and what they mean, as one line."""
+        agrees = self.agrees
+        verdict = "agrees" if agrees else "DISAGREES"
+        if agrees is None:
+            verdict = f"too few to judge, {FEWEST_CHECKED} are needed"
+        records = f"{self.records:,} records above {LOWEST_CHECKED_MM_H:g} mm/h"
+        return f"rate from the drops over the instrument's own: {self.figures} ({records}: {verdict})"
+
+
+def check_rates(measured: Sequence[DropSpectra]) -> RateCheck | None:
+    """Compare rates over all records together; None where fewer than two report more than 0.5 mm/h."""
+    rate = np.concatenate([each.rate_mm_h for each in measured])
+    reported = np.concatenate([each.reported_mm_h for each in measured])
+    checked = reported > LOWEST_CHECKED_MM_H  # NaN isn't
+    if np.count_nonzero(checked) < 2:
+        return None
+    rate, reported = rate[checked], reported[checked]
+    alike = np.ptp(rate) == 0 or np.ptp(reported) == 0
+    return RateCheck(
+        records=len(rate),
+        ratio=float(rate.sum() / reported.sum()),
+        correlation=None if alike else float(np.corrcoef(rate, reported)[0, 1]),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Measured:
+    """A disdrometer file in numbers: small, unlike its spectra."""
+
+    file: str
+    """Its name, without folders."""
+    instrument: str
+    records: int
+    seconds: float
+    """Usual length of a record."""
+    first: str | None
+    """End of the first record, UTC, in seconds; None where the file has no times."""
+    last: str | None
+    drops: float
+    """As counted; not whole where they come from densities."""
+    rain_mm: float
+    """From all drops."""
+    reported_rain_mm: float | None
+    """By the instrument's own rate, over records that have one; None where none has."""
+    skipped: tuple[tuple[str, int], ...]
+    """Reasons why records could not be read, an example of each, and how many; the most frequent first."""
+    records_without_drops: int
+    records_with_few_drops: int
+    """That hold drops, but fewer than 10 that can be trusted."""
+    quality: QualityReport
+    rate_check: RateCheck | None
+    """Of all drops: it decides whether the rates agree."""
+    used_rate_check: RateCheck | None
+    """Of the drops that can be trusted: one phantom drop of 18 mm, removed by the masks, spoils the former's r."""
+
+    @property
+    def lines(self) -> list[str]:
+        """All of it as text; the first line is without the others' indent."""
+        span = f", {self.first} to {self.last} UTC" if self.first is not None else ""
+        own = (
+            "it reports no rate of its own"
+            if self.reported_rain_mm is None
+            else f"{self.reported_rain_mm:.4g} mm by its own rate"
+        )
+        quality, instrument = self.quality, printable(self.instrument, _LONGEST_NAME)
+        lines = [
+            f"{printable(self.file)}: {instrument}, {self.records:,} records of {self.seconds:g} s{span}",
+            f"  {self.drops:,.0f} drops, {self.rain_mm:.4g} mm of rain; {own}",
+            f"  used: {quality.records_kept:,} records with {quality.drops_kept:,.0f} drops; rejected: "
+            + (", ".join(f"{count:,} {what}" for what, count in self._rejected if count) or "nothing"),
+        ]
+        lines += [f"  {count:,} unreadable: {printable(reason)}" for reason, count in self.skipped[:_REASONS]]
+        if len(self.skipped) > _REASONS:
+            lines.append(f"  {sum(count for _, count in self.skipped[_REASONS:]):,} unreadable for other reasons")
+        lines += [
+            f"  {mask.drops:,.0f} drops removed as {mask.name}: {mask.rule}"
+            for mask in quality.masks
+            if mask.drops >= 0.5
+        ]
+        for reason in dict.fromkeys(mask.not_applied for mask in quality.masks if mask.not_applied):
+            names = ", ".join(mask.name for mask in quality.masks if mask.not_applied == reason)
+            lines.append(f"  not checked for {names}: {reason}")
+        lines.append(f"  {self._rate_line}")
+        if self.used_rate_check is not None:
+            lines.append(f"  by the drops that are used: {self.used_rate_check.figures}")
+        return lines
+
+    @property
+    def _rejected(self) -> tuple[tuple[str, int], ...]:
+        return (
+            ("records that can't be read", sum(count for _, count in self.skipped)),
+            ("without a drop", self.records_without_drops),
+            ("with fewer than 10 drops to trust", self.records_with_few_drops),
+        )
+
+    @property
+    def _rate_line(self) -> str:
+        if self.rate_check is not None:
+            return self.rate_check.line
+        missing = (
+            "it reports none" if self.reported_rain_mm is None else f"fewer than two above {LOWEST_CHECKED_MM_H:g} mm/h"
+        )
+        return f"rate from the drops over the instrument's own: not checked, {missing}"
+
+    def numbers(self) -> dict[str, Any]:
+        """All of it for `--json`, with units in the names."""
+        check, used = self.rate_check, self.used_rate_check
+        return {
+            "file": self.file,
+            "instrument": self.instrument,
+            "records": self.records,
+            "record_s": self.seconds,
+            "first": self.first,
+            "last": self.last,
+            "drops": self.drops,
+            "rain_mm": self.rain_mm,
+            "reported_rain_mm": self.reported_rain_mm,
+            "records_used": self.quality.records_kept,
+            "rejected": {
+                "unreadable": sum(count for _, count in self.skipped),
+                "without_drops": self.records_without_drops,
+                "few_drops": self.records_with_few_drops,
+                "reasons": [{"reason": reason, "records": count} for reason, count in self.skipped],
+            },
+            "rate_ratio": None if check is None else check.ratio,
+            "rate_correlation": None if check is None else check.correlation,
+            "rate_records": 0 if check is None else check.records,
+            "rate_ratio_used": None if used is None else used.ratio,
+            "rate_correlation_used": None if used is None else used.correlation,
+            "rates_agree": None if check is None else check.agrees,
+            "quality": asdict(self.quality),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class MeasuredFile:
+    """A disdrometer file: as it is, and what can be trusted in it."""
+
+    path: Path
+    reading: Reading
+    trusted: DropSpectra
+    quality: QualityReport
+
+    def measured(self) -> Measured:
+        spectra = self.reading.spectra
+        times = spectra.times[~np.isnat(spectra.times)].astype("datetime64[s]")
+        reports = np.isfinite(spectra.reported_mm_h)
+        drops = spectra.counts.sum(axis=(1, 2))
+        rejected = self.quality.records - self.quality.records_kept
+        dry = min(int((drops == 0).sum()), rejected)  # of simulated drops none is rejected, dry records neither
+        rain_mm = spectra.rate_mm_h * spectra.seconds / 3600
+        reported_mm = spectra.reported_mm_h * spectra.seconds / 3600
+        return Measured(
+            file=self.path.name,
+            instrument=spectra.instrument,
+            records=len(spectra),
+            seconds=float(np.median(spectra.seconds)),
+            first=str(times.min()) if times.size else None,
+            last=str(times.max()) if times.size else None,
+            drops=float(drops.sum()),
+            rain_mm=float(rain_mm.sum()),
+            reported_rain_mm=float(reported_mm[reports].sum()) if reports.any() else None,
+            skipped=_reasons(self.reading.skipped),
+            records_without_drops=dry,
+            records_with_few_drops=rejected - dry,
+            quality=self.quality,
+            rate_check=check_rates([spectra]),
+            used_rate_check=check_rates([self.trusted]),
+        )
+
+
+def open_measured(path: Path, columns: TableColumns | None = None) -> MeasuredFile:
+    """Read a file and mask what can't be trusted; of simulated drops, all can. Raises `DisdrometerFileError`.
+
+    `columns` describe a table of text whose header doesn't tell them.
+    """
+    reading = read_disdrometer(path, columns)
+    if reading.spectra.instrument == VIRTUAL_INSTRUMENT:
+        trusted, quality = keep_trusted(reading.spectra, smallest_mm=0, speed_tolerance=np.inf, fewest_drops=0)
+    else:
+        trusted, quality = keep_trusted(reading.spectra)
+    return MeasuredFile(path=path, reading=reading, trusted=trusted, quality=quality)
+
+
+def _reasons(skipped: Sequence[str]) -> tuple[tuple[str, int], ...]:
+    """Sentences that differ in numbers and places only, counted together under the first of them."""
+    examples: dict[str, str] = {}
+    counts: Counter[str] = Counter()
+    for sentence in skipped:
+        reason = sentence.partition(": ")[2] or sentence
+        kind = re.sub(r"'[^']*'|\d+([.:T-]\d+)*", "0", reason)
+        examples.setdefault(kind, reason)
+        counts[kind] += 1
+    return tuple((examples[kind], count) for kind, count in counts.most_common())
+
+
+def _correlation(value: float | None) -> str:
+    return "all rates alike" if value is None else f"r = {value:.3f}"

@@ -1,0 +1,255 @@
+"""Which drops of a measured spectrum can be trusted, and a report of what each mask took away."""
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from ..rain.calibration import atlas_velocity
+from ..safe_io.limits import TooLargeError, read_file
+from .instruments import CLASSES
+from .spectra import DisdrometerFileError, DropSpectra
+
+LARGEST_MARGIN_FALLER_MM = 8.0
+"""Larger drops break up in the air: what looks like one and is too fast wasn't cut by the margin."""
+
+LARGEST_SPLASH_MM = 2.0
+"""What rebounds from the housing is small; larger and slow is melting snow or, in strong wind, a drop seen aslant."""
+
+_NO_SPEED = "no fall speed is measured"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MaskReport:
+    """What one mask took away of what those before it had left."""
+
+    name: str
+    rule: str
+    """What it removes, with its threshold."""
+    drops: float
+    """Not whole where the counts come from densities."""
+    records: int
+    not_applied: str = ""
+    """Why it was left out; empty where it was applied."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QualityReport:
+    """What quality control kept and removed; drops and records add up."""
+
+    drops: float
+    drops_kept: float
+    records: int
+    records_kept: int
+    masks: tuple[MaskReport, ...]
+
+    @property
+    def lines(self) -> list[str]:
+        drops = f"{self.drops_kept:.0f} of {self.drops:.0f} drops"
+        records = f"{self.records_kept} of {self.records} records"
+        return [f"{drops} and {records} are kept", *(_line(mask) for mask in self.masks)]
+
+
+def _line(mask: MaskReport) -> str:
+    if mask.not_applied:
+        return f"{mask.name} ({mask.rule}): not applied, {mask.not_applied}"
+    return f"{mask.name} ({mask.rule}): {mask.drops:.0f} drops, {mask.records} records removed"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Mask:
+    name: str
+    rule: str
+    distrusted: Bool[np.ndarray, "diameters velocities"] | None
+    """None where the mask needs fall speeds and there are none."""
+
+
+def keep_trusted(
+    spectra: DropSpectra,
+    *,
+    smallest_mm: float = 0.25,
+    speed_tolerance: float = 0.6,
+    fewest_drops: float = 10,
+    classes: Bool[np.ndarray, "diameters velocities"] | None = None,
+) -> tuple[DropSpectra, QualityReport]:
+    """Remove the drops that can't be rain seen whole, then the records with too few drops left.
+
+    In this order: drops below `smallest_mm`; margin fallers, cut by the rim of the light sheet so that they look too
+    small for their speed; splashes from the housing, small and slow; everything else whose speed differs from Atlas et
+    al. (1973) by more than `speed_tolerance` of it (0.6 as in Jaffrain and Berne 2011); drops outside `classes`, if
+    given; records of fewer than `fewest_drops`. A class is judged by its middle. Masks of speed are left out where no
+    speed is measured, and the report says so. Raises `ValueError` where `classes` has another shape than the spectra.
+    """
+    counts = spectra.counts.sum(axis=0)
+    trusted = np.ones(counts.shape, bool)
+    reports: list[MaskReport] = []
+    for mask in _masks(spectra, smallest_mm, speed_tolerance, classes):
+        if mask.distrusted is None:
+            reports.append(MaskReport(name=mask.name, rule=mask.rule, drops=0.0, records=0, not_applied=_NO_SPEED))
+            continue
+        removed = float(counts[trusted & mask.distrusted].sum())
+        reports.append(MaskReport(name=mask.name, rule=mask.rule, drops=removed, records=0))
+        trusted &= ~mask.distrusted
+
+    kept = replace(spectra, counts=spectra.counts * trusted)
+    by_record = kept.counts.sum(axis=(1, 2))
+    enough = by_record >= fewest_drops
+    too_few = MaskReport(
+        name="few drops",
+        rule=f"fewer than {fewest_drops:g} drops left in a record",
+        drops=float(by_record[~enough].sum()),
+        records=int((~enough).sum()),
+    )
+    report = QualityReport(
+        drops=float(counts.sum()),
+        drops_kept=float(by_record[enough].sum()),
+        records=len(spectra),
+        records_kept=int(enough.sum()),
+        masks=(*reports, too_few),
+    )
+    return kept[enough], report
+
+
+def _masks(
+    spectra: DropSpectra, smallest_mm: float, tolerance: float, classes: Bool[np.ndarray, "diameters velocities"] | None
+) -> Iterator[_Mask]:
+    diameters = np.broadcast_to(spectra.diameters_mm[:, None], spectra.counts.shape[1:])
+    yield _Mask("small drops", f"D < {smallest_mm:g} mm", diameters < smallest_mm)
+
+    off = _speed_off(spectra)
+    margin = f"D < {LARGEST_MARGIN_FALLER_MM:g} mm, faster than {1 + tolerance:.3g} of the expected fall speed"
+    splash = f"D < {LARGEST_SPLASH_MM:g} mm, slower than {max(1 - tolerance, 0):.3g} of it"
+    speed = f"other drops more than {100 * tolerance:.3g} % off the expected fall speed"
+    if off is None:
+        yield from (
+            _Mask("margin fallers", margin, None),
+            _Mask("splashes", splash, None),
+            _Mask("fall speed", speed, None),
+        )
+    else:
+        yield _Mask("margin fallers", margin, (off > tolerance) & (diameters < LARGEST_MARGIN_FALLER_MM))
+        yield _Mask("splashes", splash, (off < -tolerance) & (diameters < LARGEST_SPLASH_MM))
+        yield _Mask("fall speed", speed, np.abs(off) > tolerance)
+
+    if classes is not None:
+        if off is not None and classes.shape != off.shape:
+            raise ValueError(f"classes has the shape {classes.shape}, the spectra's classes {off.shape}")
+        yield _Mask("classes", "outside the given classes", None if off is None else ~classes)
+
+
+def _speed_off(spectra: DropSpectra) -> Float64[np.ndarray, "diameters velocities"] | None:
+    """How far each class's speed is off the expected one, as a fraction of it; none where no speed is measured."""
+    speeds = spectra.velocities_m_s
+    if speeds is None:
+        return None
+    expected = np.maximum(atlas_velocity(spectra.diameters_mm), 1e-6)[:, None]
+    return speeds / expected - 1
+
+
+# § Which classes of a Parsivel spectrum hold rain: a table of 32 x 32 zeros and ones, as PyDSD's conditional matrix.
+
+
+def is_class_mask(lines: list[str]) -> bool:
+    """Whether every row has 32 numbers that are 0 or 1."""
+    rows = _rows(lines)
+    return len(rows) == CLASSES and all(len(row) == CLASSES and set(row) <= {"0", "1"} for row in rows)
+
+
+def _rows(lines: list[str]) -> list[list[str]]:
+    return [
+        [value.strip() for value in line.strip().removesuffix(",").split(",")]
+        for line in lines[: CLASSES + 2]
+        if line.strip()
+    ]
+
+
+# § The bytes of a disdrometer file: inflated where gzip holds them, and never more than memory allows.
+
+LARGEST_FILE = 256 * 2**20
+"""Bytes, after inflation: about two months of a Parsivel's minutes as text."""
+
+MOST_LINES = 8_000_000
+"""Of text: a telegram has a line a field, and some hundred bytes in each three or four."""
+
+_GZIP_MAGIC = b"\x1f\x8b"
+
+_GZIP_WINDOW = 31
+
+_BLOCK = 2**20
+
+_TEXT_CONTROLS = b"\t\n\v\f\r\x02\x03\x04\x1a"  # telegrams begin with STX and end with ETX
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """A file in memory."""
+
+    path: Path
+    data: bytes
+    cut_off: bool
+    """A gzip stream that ended too early: the rest of the file is missing."""
+
+    @property
+    def is_text(self) -> bool:
+        """Whether the first 4 KiB are text in any encoding that keeps ASCII."""
+        start = self.data[:4096]
+        return bool(start) and not any(byte < 32 and byte not in _TEXT_CONTROLS for byte in start)
+
+    @property
+    def lines(self) -> list[str]:
+        """Lines of text without their ends; Latin-1, which every byte is valid in."""
+        if self.data.count(b"\n") > MOST_LINES:
+            raise DisdrometerFileError(self.path, f"the file holds more than {MOST_LINES:,} lines: split it by days")
+        text = self.data.decode("latin-1").removeprefix("\u00ef\u00bb\u00bf")
+        return [line.rstrip("\r") for line in text.split("\n")]
+
+
+def read_contents(path: Path) -> Contents:
+    """Read a whole file, inflating gzip.
+
+    Raises `DisdrometerFileError` where the file is absent, empty, larger than `LARGEST_FILE`, or its gzip stream
+    damaged. A gzip stream that is only cut off gives what came before the cut.
+    """
+    try:
+        data = read_file(path, LARGEST_FILE)
+    except TooLargeError:
+        raise _too_large(path) from None
+    except OSError as error:
+        raise DisdrometerFileError(path, error.strerror or str(error)) from None
+    cut_off = False
+    if data.startswith(_GZIP_MAGIC):
+        data, cut_off = _inflate(path, data)
+    if not data:
+        raise DisdrometerFileError(path, "the file is empty")
+    if len(data) > LARGEST_FILE:
+        raise _too_large(path)
+    return Contents(path, data, cut_off)
+
+
+def _too_large(path: Path) -> DisdrometerFileError:
+    return DisdrometerFileError(path, f"the file holds more than {LARGEST_FILE // 2**20} MiB: split it by days")
+
+
+def _inflate(path: Path, data: bytes) -> tuple[bytes, bool]:
+    """Inflate one gzip member after the other, up to one byte more than `LARGEST_FILE`; whether the last is cut off."""
+    parts: list[bytes] = []
+    size = 0
+    while data.startswith(_GZIP_MAGIC):
+        member = zlib.decompressobj(_GZIP_WINDOW)
+        while not member.eof and size <= LARGEST_FILE:
+            try:
+                part = member.decompress(data, min(_BLOCK, LARGEST_FILE + 1 - size))
+            except zlib.error as error:
+                raise DisdrometerFileError(path, f"the gzip stream is damaged ({error})") from None
+            data = member.unconsumed_tail
+            if not part and not data and not member.eof:
+                return b"".join(parts), True
+            parts.append(part)
+            size += len(part)
+        if size > LARGEST_FILE:
+            break
+        data = member.unused_data
+    return b"".join(parts), False

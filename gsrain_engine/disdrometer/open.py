@@ -1,0 +1,230 @@
+"""Any disdrometer file in, one reading out: the format is told by what the file holds, not by its name."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from io import BytesIO
+from pathlib import Path
+
+import h5py
+import xarray as xr
+
+from ..plugins import DISDROMETERS, Extension, ExtensionError, loaded
+from ..safe_io.limits import kind_of_bytes
+from .disdrodb import is_disdrodb, read_disdrodb
+from .filter import Contents, is_class_mask, read_contents
+from .hdf5_trial import LARGEST_DATASET, passes_trial
+from .netcdf import is_gsrain_spectra, read_gsrain_spectra, read_instrument_spectra
+from .netcdf_repair import with_whole_records
+from .parsivel import (
+    is_parsivel_asdo,
+    is_parsivel_telegrams,
+    parsivel_log_dialect,
+    read_parsivel_asdo,
+    read_parsivel_log,
+    read_parsivel_telegrams,
+)
+from .spectra import DisdrometerFileError, Reading, SingleDrops, UnknownKindError
+from .tables import (
+    TableColumns,
+    is_minute_table,
+    is_rainsense_intensity,
+    read_minute_table,
+    read_rainsense_intensity,
+    read_table,
+    table_columns,
+)
+from .thies import is_thies, read_thies
+from .two_dvd import (
+    is_joss_waldvogel,
+    is_two_dvd,
+    is_two_dvd_minutes,
+    read_joss_waldvogel,
+    read_two_dvd,
+    read_two_dvd_minutes,
+)
+
+__all__ = ["DisdrometerFileError", "Reading", "SingleDrops", "UnknownKindError", "read_disdrometer"]
+
+_TEXTS = (
+    (is_parsivel_telegrams, read_parsivel_telegrams),
+    (is_thies, read_thies),
+    (is_minute_table, read_minute_table),
+    (is_rainsense_intensity, read_rainsense_intensity),
+)
+
+
+def read_disdrometer(path: Path, columns: TableColumns | None = None) -> Reading:
+    """Read a disdrometer file: OTT Parsivel, Thies LNM, Joss-Waldvogel, 2DVD, APU, RainSense's intensity; gzip or not.
+
+    A table of text is read by its `columns` where they are given. Records that can't be used are left out and named in
+    `Reading.skipped`. Raises `DisdrometerFileError` where none is left, `UnknownKindError` where the file is of no
+    known kind.
+    """
+    contents = read_contents(path)
+    if columns is not None:
+        if not contents.is_text:
+            raise DisdrometerFileError(path, "not a text: columns describe a table of text")
+        return _with_cut(read_table(path, contents.lines, columns), contents)
+    if is_netcdf(contents.data):
+        if contents.cut_off:
+            raise DisdrometerFileError(path, "the gzip stream ends too early: the NetCDF file in it is cut off")
+        return read_netcdf(path, contents.data)
+    if not contents.is_text:
+        raise _unknown_kind(contents, "neither text nor NetCDF")
+    return _with_cut(_read_text(path, contents), contents)
+
+
+def _with_cut(reading: Reading, contents: Contents) -> Reading:
+    if contents.cut_off:
+        return replace(reading, skipped=(*reading.skipped, "end of file: the gzip stream is cut off"))
+    return reading
+
+
+def _read_text(path: Path, contents: Contents) -> Reading:
+    lines = contents.lines
+    dialect = parsivel_log_dialect(lines)
+    if dialect is not None:
+        return read_parsivel_log(path, lines, dialect)
+    if is_parsivel_asdo(lines):
+        return read_parsivel_asdo(path, lines)
+    columns = table_columns(lines)
+    if columns is not None:
+        return read_table(path, lines, columns)
+    for recognizes, read in _TEXTS:
+        if recognizes(lines):
+            return read(path, lines)
+    if is_class_mask(lines):
+        raise DisdrometerFileError(path, "a mask of diameters and speeds, no measurement")
+    reading = read_by_packages(path, lines)
+    if reading is not None:
+        return reading
+    raise _unknown_kind(contents, "line 1")
+
+
+def _unknown_kind(contents: Contents, where: str) -> UnknownKindError:
+    """Name the kind that the file is of, where its first bytes say it; else the kinds that can be read."""
+    path = contents.path
+    kind = kind_of_bytes(contents.data, path.suffix.lower())
+    return UnknownKindError(path, f"{where}: not a disdrometer file of a kind that is known", kind)
+
+
+# § NetCDF files of disdrometers, classic or HDF5: opened from memory, and handed to the instrument's own reader.
+
+_CLASSIC = (b"CDF\x01", b"CDF\x02")
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+def is_netcdf(data: bytes) -> bool:
+    """Whether a file begins as NetCDF, classic or HDF5."""
+    return data.startswith((*_CLASSIC, _HDF5))
+
+
+def read_netcdf(path: Path, data: bytes) -> Reading:
+    """Read single drops (2DVD), drops by diameter (Joss-Waldvogel), or spectra of diameter and fall speed.
+
+    A classic file that ends too early gives its whole records. Raises `DisdrometerFileError` where the file is damaged,
+    larger than memory allows, or holds none of these.
+    """
+    lost = ""
+    if data.startswith(_CLASSIC):
+        try:
+            data, whole, expected = with_whole_records(data)
+        except ValueError as error:
+            raise _damaged(path, error) from None
+        if whole < expected:
+            lost = f"record {whole + 1}: the file ends in it, and {expected - whole - 1} more are missing"
+            if whole == 0:
+                raise DisdrometerFileError(path, f"no record can be used: {lost}")
+    reading = _read(path, _opened(path, data))
+    return replace(reading, skipped=(*reading.skipped, lost)) if lost else reading
+
+
+def _read(path: Path, dataset: xr.Dataset) -> Reading:
+    if is_gsrain_spectra(dataset):
+        return read_gsrain_spectra(path, dataset)
+    if is_two_dvd(dataset):
+        return read_two_dvd(path, dataset)
+    if is_two_dvd_minutes(dataset):
+        return read_two_dvd_minutes(path, dataset)
+    if is_disdrodb(dataset):
+        return read_disdrodb(path, dataset)
+    if is_joss_waldvogel(dataset):
+        return read_joss_waldvogel(path, dataset)
+    return read_instrument_spectra(path, dataset)
+
+
+def _opened(path: Path, data: bytes) -> xr.Dataset:
+    try:
+        engine = "scipy"
+        if data.startswith(_HDF5):
+            engine = "h5netcdf"
+            if not passes_trial(data):
+                raise DisdrometerFileError(path, "the NetCDF file is damaged: HDF5's library does not come to its end")
+            _check_size(path, _unpacked_bytes(data))
+        with xr.open_dataset(BytesIO(data), engine=engine, decode_timedelta=False) as dataset:
+            _check_size(path, dataset.nbytes)
+            return dataset.load()
+    except DisdrometerFileError:
+        raise
+    except Exception as error:  # the libraries raise nearly anything on a damaged file
+        raise _damaged(path, error) from None
+
+
+def _unpacked_bytes(data: bytes) -> int:
+    """Bytes of all variables of an HDF5 file, before one of them is unpacked."""
+    sizes: list[int] = []
+
+    def note(_: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset):
+            sizes.append(item.nbytes)
+
+    with h5py.File(BytesIO(data), "r") as file:
+        file.visititems(note)
+    return sum(sizes)
+
+
+def _check_size(path: Path, size: int) -> None:
+    if size > LARGEST_DATASET:
+        raise DisdrometerFileError(path, f"it holds more than {LARGEST_DATASET // 2**20} MiB: split it by days")
+
+
+def _damaged(path: Path, error: Exception) -> DisdrometerFileError:
+    reason = str(error).strip().split("\n")[0] or type(error).__name__
+    return DisdrometerFileError(path, f"the NetCDF file is damaged or cut off ({reason})")
+
+
+# § Disdrometer texts that other installed packages read: asked when no format of ours knows the lines.
+
+
+@dataclass(frozen=True, slots=True)
+class LogFormat:
+    """One kind of text that disdrometers write."""
+
+    recognizes: Callable[[list[str]], bool]
+    """Whether lines look like this kind: quick, and without an exception."""
+    read: Callable[[Path, list[str]], Reading]
+    """Read them; raises `DisdrometerFileError` where no record can be used."""
+
+
+def read_by_packages(path: Path, lines: list[str]) -> Reading | None:
+    """Read lines by the first installed package that knows them; None where none does.
+
+    Raises `DisdrometerFileError` where that fails.
+    """
+    for extension, kind in loaded(DISDROMETERS, LogFormat):
+        reading = _read_installed(path, lines, extension, kind)
+        if reading is not None:
+            return reading
+    return None
+
+
+def _read_installed(path: Path, lines: list[str], extension: Extension, kind: LogFormat) -> Reading | None:
+    try:
+        return extension.expect(kind.read(path, lines), Reading, "reads") if kind.recognizes(lines) else None
+    except (DisdrometerFileError, OSError, MemoryError):
+        raise
+    except ExtensionError as error:
+        raise DisdrometerFileError(path, str(error)) from error
+    except Exception as error:  # it is code of others: its words are the reason
+        raise DisdrometerFileError(path, str(extension.unfit(error))) from error

@@ -1,0 +1,244 @@
+"""Text files of ASDO, OTT's own program for the Parsivel: columns that a person chose, then the spectrum."""
+
+import csv
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from .instruments import CLASSES, PARSIVEL
+from .spectra import DisdrometerFileError, Reading, Record, RecordError, drop_counts, gather, interval_s, rain_rate, utc
+
+_COUNTS = CLASSES * CLASSES
+
+_OPEN, _CLOSE = "<SPECTRUM>", "</SPECTRUM>"
+
+_LOOK_AHEAD = 40
+
+_SEPARATORS = ";\t,"
+
+_YEAR_FIRST = ("%Y/%m/%d", "%Y-%m-%d", "%d.%m.%Y", "%d.%m.%y")
+
+_DAY_FIRST, _MONTH_FIRST = ("%d/%m/%Y", "%d-%m-%Y"), ("%m/%d/%Y", "%m-%d-%Y")
+
+_SLASHED = re.compile(r"^\"?(\d{1,2})[/-](\d{1,2})[/-]\d{4}")
+
+_SNOW = re.compile("snow|schnee|neige|nieve|neve", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Where the date, the time and the rain rate stand."""
+
+    separator: str
+    dates: tuple[str, ...]
+    """Forms that dates may have."""
+    names: tuple[str, ...] = ()
+    """As the header has them; empty where there is none."""
+    date: int = 0
+    time: int = 1
+    rate: int = 2
+
+
+def is_parsivel_asdo(lines: list[str]) -> bool:
+    """Whether a text is ASDO's, by its first lines."""
+    return any(_OPEN in line for line in lines[:_LOOK_AHEAD])
+
+
+def read_parsivel_asdo(path: Path, lines: list[str]) -> Reading:
+    """Read an ASDO file; where it has no header, date, time and rain rate come first.
+
+    Raises `DisdrometerFileError` where no record can be used, or where its header has no rain rate or changes.
+    """
+    columns = _columns_of(path, lines)
+    records, skipped = gather(path, _records(path, lines, columns), lambda line: _record(line, columns))
+    return PARSIVEL.reading_of(path, records, "velocities first", skipped)
+
+
+def _columns_of(path: Path, lines: list[str]) -> _Columns:
+    first = next(line for line in lines if _OPEN in line).partition(_OPEN)[0]
+    separator = max(_SEPARATORS, key=first.count)
+    dates = _YEAR_FIRST + (_MONTH_FIRST if _months_first(lines) else _DAY_FIRST)
+    header = next((line for line in lines[:_LOOK_AHEAD] if _is_header(line, separator)), None)
+    if header is None:
+        return _Columns(separator, dates)
+    names = _names(header, separator)
+    rate = next((i for i, name in enumerate(names) if "intens" in name and not _SNOW.search(name)), None)
+    if rate is None:
+        raise DisdrometerFileError(path, "its header names no intensity of precipitation: choose it in ASDO, too")
+    date = next((i for i, name in enumerate(names) if name.startswith(("dat", "fech"))), 0)
+    time = next((i for i, name in enumerate(names) if name.startswith(("time", "zeit", "uhr", "heure", "hora"))), 1)
+    return _Columns(separator, dates, names, date, time, rate)
+
+
+def _is_header(line: str, separator: str) -> bool:
+    return _OPEN not in line and line.count(separator) >= 2 and not line.lstrip('" ')[:1].isdigit()
+
+
+def _names(header: str, separator: str) -> tuple[str, ...]:
+    return tuple(name.strip(' "').lower() for name in header.split(separator))
+
+
+def _months_first(lines: list[str]) -> bool:
+    """Whether 4/13/2024 stands somewhere; otherwise 4/3/2024 is the fourth of March."""
+    found = (_SLASHED.match(line) for line in lines)
+    return any(int(each[2]) > 12 for each in found if each is not None)
+
+
+def _records(path: Path, lines: list[str], columns: _Columns) -> Iterator[tuple[str, str]]:
+    for i, line in enumerate(lines):
+        if not line.strip():
+            continue
+        if columns.names and _is_header(line, columns.separator):  # one stands wherever recording began again
+            if _names(line, columns.separator) != columns.names:
+                raise DisdrometerFileError(path, f"line {i + 1}: its columns are not those before it: split the file")
+            continue
+        yield f"line {i + 1}", line
+
+
+def _record(line: str, columns: _Columns) -> Record:
+    """Chosen columns;<SPECTRUM>counts, none for 0</SPECTRUM>, or ZERO for all."""
+    head, opened, rest = line.partition(_OPEN)
+    spectrum, closed, _ = rest.partition(_CLOSE)
+    if not opened or not closed:
+        raise RecordError("the spectrum is not whole: the record is cut off")
+    values = [value.strip(' "') for value in head.split(columns.separator)]
+    least = max(len(columns.names), columns.rate + 2)  # the last is empty, before the spectrum
+    if len(values) < least:
+        raise RecordError(f"{len(values) - 1} fields before the spectrum instead of {least - 1}")
+    rate = values[columns.rate]
+    separator = max(";,\t", key=spectrum.count)
+    counts = [value.strip() or "0" for value in spectrum.removesuffix(separator).split(separator)]
+    return Record(
+        time=utc(f"{values[columns.date]} {values[columns.time]}", *(f"{form} %H:%M:%S" for form in columns.dates)),
+        seconds=float("nan"),
+        reported_mm_h=rain_rate(rate if columns.separator == "," else rate.replace(",", ".")),
+        counts=np.zeros(_COUNTS) if spectrum.strip() == "ZERO" else drop_counts(counts, _COUNTS),
+    )
+
+
+# § OTT Parsivel logs, one record a line: the dialects that stations write.
+
+_LOG_LOOK_AHEAD = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """How one kind of log writes its records."""
+
+    marks: re.Pattern[str]
+    """Found in a line that only this kind of log has."""
+    parse: Callable[[str], Record]
+    """Raises `RecordError` where the line can't be used."""
+
+
+def parsivel_log_dialect(lines: list[str]) -> Dialect | None:
+    """The dialect of a log by its first lines; none where it is not one."""
+    start = [line for line in lines[: 2 * _LOG_LOOK_AHEAD] if line.strip()][:_LOG_LOOK_AHEAD]
+    found = (dialect for dialect in _DIALECTS if any(dialect.marks.search(line) for line in start))
+    return next(found, None)
+
+
+def read_parsivel_log(path: Path, lines: list[str], dialect: Dialect) -> Reading:
+    """Read a log of this dialect; raises `DisdrometerFileError` where no record can be used."""
+    records, skipped = gather(path, _log_records(lines), dialect.parse)
+    return PARSIVEL.reading_of(path, records, "velocities first", skipped)
+
+
+def _log_records(lines: list[str]) -> Iterator[tuple[str, str]]:
+    for i, line in enumerate(lines):
+        if line.strip():
+            yield f"line {i + 1}", line
+
+
+def parsivel_counts(text: str, separator: str) -> Float64[np.ndarray, " 1024"]:
+    """Counts of one spectrum, with or without a separator at the end."""
+    return drop_counts(text.strip().removesuffix(separator).split(separator), _COUNTS)
+
+
+def _fields(line: str, at_least: int) -> list[str]:
+    try:
+        values = next(csv.reader([line]))
+    except csv.Error as error:
+        raise RecordError(f"the line can't be split into fields ({error})") from None
+    if len(values) < at_least:
+        raise RecordError(f"{len(values)} fields instead of {at_least}: the record is cut off")
+    return values
+
+
+def _locarno(line: str) -> Record:
+    """id, lat, lon, time, logger T, logger V, rate, ..., "32 N(D)", "32 v(D)", "1024 counts"."""
+    values = _fields(line, 23)
+    return Record(
+        time=utc(values[3], "%d-%m-%Y %H:%M:%S"),
+        seconds=float("nan"),
+        reported_mm_h=rain_rate(values[6]),
+        counts=parsivel_counts(values[22], ","),
+    )
+
+
+def _station(line: str) -> Record:
+    """time; rate; ...; interval (6); ...; 32 N(D); 32 v(D); 1024 counts, joined by ; or by /."""
+    values = line.strip().split(";")
+    if not re.match(r"\d{14}", values[0]):
+        raise RecordError("the line doesn't begin with a time: the record is cut off")
+    if len(values) < 83:
+        raise RecordError(f"{len(values)} fields instead of at least 83: the record is cut off")
+    slashed = "/" in values[82]
+    counts = values[82].removesuffix("R").removesuffix("/") if slashed else ";".join(values[82:])
+    return Record(
+        time=utc(values[0], "%Y%m%d%H%M%S", "%Y%m%d%H%M%S.%f"),
+        seconds=interval_s(values[6]),
+        reported_mm_h=rain_rate(values[1]),
+        counts=parsivel_counts(counts, "/" if slashed else ";"),
+    )
+
+
+_DIALECTS = (
+    Dialect(re.compile(r'^\d+,[\d.]+,[\d.]+,"\d\d-\d\d-\d{4} \d\d:\d\d:\d\d","'), _locarno),
+    Dialect(re.compile(r"^\d{14}(\.\d+)?;[^;]*;[^;]*;[^;]*;[^;]*;[^;]*;\d+;"), _station),
+)
+
+# § OTT Parsivel telegrams, one field a line, each with its number (Parsivel2 manual, section 11.2).
+
+_FIELD = re.compile(r"^(\d\d):(.*)")
+
+_FIRST = "01"
+
+_NEEDED = {"01": "rain rate", "09": "sample interval", "20": "time", "21": "date", "93": "raw spectrum"}
+
+
+def is_parsivel_telegrams(lines: list[str]) -> bool:
+    """Whether a telegram with a rain rate begins within the first lines."""
+    return any(re.match(r"^01:\d+\.\d+\s*$", line) for line in lines[:200])
+
+
+def read_parsivel_telegrams(path: Path, lines: list[str]) -> Reading:
+    """Read telegrams that begin with field 01; raises `DisdrometerFileError` where none is whole."""
+    records, skipped = gather(path, _telegrams(lines), _telegram_record)
+    return PARSIVEL.reading_of(path, records, "velocities first", skipped)
+
+
+def _telegrams(lines: list[str]) -> Iterator[tuple[str, str]]:
+    start = 0
+    for i, line in enumerate([*lines, f"{_FIRST}:"]):
+        if line.startswith(f"{_FIRST}:"):
+            if any(_FIELD.match(each) for each in lines[start:i]):
+                yield f"telegram at line {start + 1}", "\n".join(lines[start:i])
+            start = i
+
+
+def _telegram_record(telegram: str) -> Record:
+    fields = {match[1]: match[2] for line in telegram.split("\n") if (match := _FIELD.match(line))}
+    for field, name in _NEEDED.items():
+        if field not in fields:
+            raise RecordError(f"field {field} ({name}) is missing: the telegram is cut off")
+    return Record(
+        time=utc(f"{fields['21'].strip()} {fields['20'].strip()}", "%d.%m.%Y %H:%M:%S", "%d.%m.%y %H:%M:%S"),
+        seconds=interval_s(fields["09"]),
+        reported_mm_h=rain_rate(fields["01"]),
+        counts=parsivel_counts(fields["93"], ";"),
+    )

@@ -1,0 +1,76 @@
+"""The weather of a disdrometer's own time series: how hard it rained, record by record."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from ..rain.keyframes import HEAVIEST_MM_H, LONGEST_S, Weather, from_series
+from .spectra import Reading
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class MeasuredWeather:
+    """A weather from a file, and what had to be done to its series."""
+
+    weather: Weather
+    records: int
+    """That were taken."""
+    left_out: int
+    """Records without a time or a rate."""
+    cut_off: int
+    """Records above 100 mm/h, which are taken as 100."""
+    duration_s: float
+    """From the first key to the last."""
+
+    @property
+    def told(self) -> str:
+        words = [f"{self.records:,} records over {self.duration_s:,.0f} s"]
+        if self.left_out:
+            words.append(f"{self.left_out:,} left out, without a time or a rate")
+        if self.cut_off:
+            words.append(f"{self.cut_off:,} cut off at {HEAVIEST_MM_H:g} mm/h")
+        return "; ".join(words)
+
+
+def from_spectra(reading: Reading, *, speed_up: float = 1.0, start_s: float = 0.0) -> MeasuredWeather:
+    """Return the rates of a disdrometer's records as keys of the intensity, each in the middle of its record.
+
+    The rate is the instrument's own, else that of the drops it counted. The first key stands at `start_s`; time goes
+    by `speed_up` times as fast as it did. A file with one rate and no time, as RainSense's, is one key. Rates above
+    100 mm/h are cut off there. Raises `ValueError` where no record has a time and a rate, for a speed-up that is not
+    above 0, or where they last longer than a weather may.
+    """
+    if not (np.isfinite(speed_up) and speed_up > 0):
+        raise ValueError(f"speed-up {speed_up:g}: must be above 0")
+    spectra = reading.spectra
+    rates = np.where(np.isfinite(spectra.reported_mm_h), spectra.reported_mm_h, spectra.rate_mm_h)
+    if len(spectra) == 1 and np.isnat(spectra.times[0]) and np.isfinite(rates[0]):
+        weather = from_series(np.array([start_s]), rates)
+        return MeasuredWeather(weather=weather, records=1, left_out=0, cut_off=int(rates[0] > 100), duration_s=0.0)
+    usable = ~np.isnat(spectra.times) & np.isfinite(rates) & (rates >= 0)
+    if not usable.any():
+        raise ValueError(f"{spectra.instrument}: no record has a time and a rain rate")
+    first = spectra.times[usable][0]
+    times = (spectra.times - first) / np.timedelta64(1, "s") - spectra.seconds / 2
+    usable[usable] = _rising(times[usable])
+    times, rates = times[usable], rates[usable]
+    times = start_s + (times - times[0]) / speed_up
+    if times[-1] > LONGEST_S:
+        raise ValueError(
+            f"{spectra.instrument}: records over {times[-1]:.3g} s, a weather lasts {LONGEST_S:g} s at most: one "
+            "of them has a wrong time, or the file is to be split"
+        )
+    return MeasuredWeather(
+        weather=from_series(times, rates),
+        records=len(times),
+        left_out=len(spectra) - len(times),
+        cut_off=int(np.sum(rates > HEAVIEST_MM_H)),
+        duration_s=float(times[-1] - times[0]),
+    )
+
+
+def _rising(times: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Which times are later than all before them: a clock that was set back gives some twice."""
+    latest = np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]])
+    return times > latest

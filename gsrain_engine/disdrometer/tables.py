@@ -1,0 +1,560 @@
+"""NASA's ground-validation tables: a minute a row, as year, day of the year, hour, minute and a number a diameter."""
+
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from jaxtyping import Float64
+from msgspec import Meta
+
+from ..rain.calibration import atlas_velocity
+from ..safe_io.errors import converted
+from ..safe_io.text_files import printable, read_whole, yaml_values
+from . import instruments, two_dvd
+from .instruments import PARSIVEL, THIES, Instrument, Order
+from .spectra import (
+    LONGEST_RECORD_S,
+    DisdrometerFileError,
+    DropSpectra,
+    Reading,
+    Record,
+    RecordError,
+    drop_counts,
+    gather,
+    interval_s,
+    rain_rate,
+    utc,
+)
+
+MINUTE_S = 60.0
+
+TWO_DVD_EDGES_MM = 0.2 * np.arange(51)
+
+TWO_DVD_AREA_M2 = 0.01
+"""Nominal: 10 x 10 cm (Kruger and Krajewski 2002)."""
+
+_STAMP = 4
+
+_APU, _COUNTS = 32, 50
+
+_ROW = re.compile(r"^\s*(19|20)\d\d\s+\d{1,3}\s+\d{1,2}\s+\d{1,2}\s")
+
+
+def is_minute_table(lines: list[str]) -> bool:
+    """Recognize a minute with the 32 diameters of an APU or the 50 of a 2DVD in the first full row."""
+    first = next((line for line in lines if line.strip()), "")
+    return _ROW.match(first) is not None and len(first.split()) - _STAMP in (_APU, _COUNTS)
+
+
+def read_minute_table(path: Path, lines: list[str]) -> Reading:
+    """Read either table; raises `DisdrometerFileError` where no row can be used.
+
+    Both come as drops counted (`dropcounts`, whole numbers) and as number densities in 1/(m^3 mm) (`rainDSD`, with
+    decimals), of which one file has one: densities become the counts that the instrument would have made of them.
+    """
+    first = next(line for line in lines if line.strip())
+    classes = len(first.split()) - _STAMP
+    records, skipped = gather(path, _rows(lines), lambda row: _record(row, classes))
+    values = np.stack([record.counts for record in records])
+    if classes == _COUNTS:
+        name, edges, area = "2DVD", TWO_DVD_EDGES_MM, np.full(_COUNTS, TWO_DVD_AREA_M2)
+    else:
+        name, edges, area = "APU (OTT Parsivel)", instruments.PARSIVEL_DIAMETER_EDGES_MM, instruments.PARSIVEL_AREA_M2
+    counts = values if "." not in first else drops_of_densities(values, edges, area, MINUTE_S)
+    spectra = DropSpectra(
+        instrument=name,
+        times=np.array([record.time for record in records]),
+        seconds=np.full(len(records), MINUTE_S),
+        diameter_edges_mm=edges,
+        velocity_edges_m_s=None,
+        counts=counts[:, :, None],
+        area_m2=area,
+        reported_mm_h=np.full(len(records), np.nan),
+    )
+    return Reading(spectra=spectra, skipped=tuple(skipped))
+
+
+def _rows(lines: list[str]) -> Iterator[tuple[str, str]]:
+    for i, line in enumerate(lines):
+        if line.strip():
+            yield f"line {i + 1}", line
+
+
+def _record(row: str, classes: int) -> Record:
+    values = row.split()
+    try:
+        year, day, hour, minute = (int(value) for value in values[:_STAMP])
+        begin = datetime.strptime(f"{year} {day} {hour} {minute}", "%Y %j %H %M")
+    except ValueError:
+        raise RecordError(f"{' '.join(values[:_STAMP])[:40]!r} is no year, day of the year, hour and minute") from None
+    end = begin + timedelta(seconds=MINUTE_S)
+    return Record(
+        time=np.datetime64(end, "ms"),
+        seconds=MINUTE_S,
+        reported_mm_h=float("nan"),
+        counts=drop_counts(values[_STAMP:], classes),
+    )
+
+
+def drops_of_densities(
+    density_m3_mm: Float64[np.ndarray, "records diameters"],
+    edges_mm: Float64[np.ndarray, " diameters_and_one"],
+    area_m2: float | Float64[np.ndarray, " diameters"],
+    seconds: float | Float64[np.ndarray, " records"],
+) -> Float64[np.ndarray, "records diameters"]:
+    """Drops that would have been counted, not whole numbers: N(D) dD, at the fall speed of Atlas et al. (1973)."""
+    swept_m3_s = atlas_velocity(0.5 * (edges_mm[:-1] + edges_mm[1:])) * area_m2
+    return density_m3_mm * np.diff(edges_mm) * swept_m3_s * np.reshape(seconds, (-1, 1))
+
+
+# § Files that give a rain rate and no drops: RainSense's intensity files, and short telegrams.
+
+_INTENSITY = re.compile(r"^\s*current intensity\s*:\s*(\S*)\s*$", re.IGNORECASE)
+
+
+def is_rainsense_intensity(lines: list[str]) -> bool:
+    """Whether the file begins with RainSense's words."""
+    return bool(lines) and _INTENSITY.match(lines[0]) is not None
+
+
+def read_rainsense_intensity(path: Path, lines: list[str]) -> Reading:
+    """Read the one rate in mm/h of a RainSense case; it has neither a time nor a length.
+
+    Raises `DisdrometerFileError` where it is no rate.
+    """
+    match = _INTENSITY.match(lines[0])
+    try:
+        rate = rain_rate(match[1] if match else "")
+    except RecordError as error:
+        raise DisdrometerFileError(path, f"line 1: {error}") from None
+    if np.isnan(rate):
+        raise DisdrometerFileError(path, "line 1: it says no intensity")
+    nowhere = np.datetime64("NaT", "ms")
+    record = Record(time=nowhere, seconds=float("nan"), reported_mm_h=rate, counts=np.zeros(0))
+    return rates_reading("RainSense rain gauge", [record], [])
+
+
+def rates_reading(instrument: str, records: list[Record], skipped: list[str]) -> Reading:
+    """Records without a single diameter class: only their times and reported rates mean something."""
+    spectra = DropSpectra(
+        instrument=instrument,
+        times=np.array([record.time for record in records]),
+        seconds=np.array([record.seconds for record in records]),
+        diameter_edges_mm=np.zeros(1),
+        velocity_edges_m_s=None,
+        counts=np.zeros((len(records), 0, 1)),
+        area_m2=np.zeros(0),
+        reported_mm_h=np.array([record.reported_mm_h for record in records]),
+    )
+    return Reading(spectra=spectra, skipped=tuple(skipped))
+
+
+# § Tables of text, a record a line: dialects that their header tells, and any other that a YAML file describes.
+
+_RATE_UNITS = {"mm/h": 1.0, "mm/min": 60.0, "mm/s": 3600.0, "m/s": 3.6e6}
+
+_LARGEST_MM, _FASTEST_M_S, _LARGEST_AREA_M2 = 50.0, 50.0, 10.0
+
+_HEADER_WITHIN, _LONGEST_NAME = 20, 60
+
+_ISO = ("%Y-%m-%d %H:%M:%S", "%Y-%m-%d %H:%M:%S.%f", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%dT%H:%M:%SZ", "%Y-%m-%d %H:%M")
+
+_TIMES = (*_ISO, "%Y/%m/%d %H:%M:%S", "%Y/%m/%d %H:%M", "%d.%m.%Y %H:%M:%S", "%Y%m%d%H%M%S", "%Y%m%d %H%M%S")
+
+_CAMPBELL_WORDS = ('"TOA5"', '"TIMESTAMP"', '"TS"', '"",', "TOA5,", "TIMESTAMP,", "TS,")
+"""Lines of a Campbell logger's header begin so: its kind, the columns, their units, how they were sampled."""
+
+_WITHOUT_SPEED = {
+    two_dvd.NAME: (two_dvd.RD80_EDGES_MM, two_dvd.AREA_M2),
+    "2DVD": (TWO_DVD_EDGES_MM, TWO_DVD_AREA_M2),
+}
+
+_WITH_SPEED = {each.name: each for each in (PARSIVEL, THIES)}
+
+Column = Annotated[str, Meta(min_length=1)] | Annotated[int, Meta(ge=1, le=100_000)]
+"""A column by its name in the header, or by its number, from 1 on."""
+
+_Edges = Annotated[tuple[Annotated[float, Meta(ge=0)], ...], Meta(min_length=4, max_length=1025)]
+
+
+class ColumnRange(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Columns side by side, both ends included."""
+
+    first: Column
+    last: Column
+
+
+class TableColumns(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A table of disdrometer records: which column is what. A YAML file."""
+
+    instrument: Annotated[str, Meta(min_length=1, max_length=60)]
+    """OTT Parsivel, Thies LNM, Joss-Waldvogel, 2DVD, whose classes and area are known; else a name of your own."""
+    drops: Column | ColumnRange
+    """One number a class: in columns side by side, or in one column that holds all of them."""
+    time: Column | Annotated[tuple[Column, ...], Meta(min_length=1, max_length=6)]
+    """UTC, in one column or several (date and time of day), which are joined by a space."""
+    time_format: Annotated[str, Meta(min_length=2, max_length=60)] | None = None
+    """As Python's `strptime` takes it, `%d/%m/%Y %H:%M`; without one, ISO's forms and some more are tried."""
+    time_is: Literal["end", "start"] = "end"
+    """Of the record."""
+    utc_offset_h: Annotated[float, Meta(ge=-14, le=14)] = 0.0
+    """Hours by which the table's clock is ahead of UTC."""
+    seconds: Annotated[float, Meta(ge=1, le=LONGEST_RECORD_S)] | None = None
+    """Length of each record; without it and its column, the step from record to record."""
+    seconds_column: Column | None = None
+    """Column of each row's length in s."""
+    rate: Column | None = None
+    """The instrument's own rain rate, by which the drops are checked."""
+    rate_unit: Literal["mm/h", "mm/min", "mm/s", "m/s"] = "mm/h"
+    quantity: Literal["drops", "drops_m3_mm"] = "drops"
+    """Drops counted, or number density in 1/(m^3 mm)."""
+    order: Literal["diameters first", "velocities first"] | None = None
+    """The slower index, where both are measured; without one, the maker's."""
+    separator: Annotated[str, Meta(min_length=1, max_length=1)] | None = None
+    """Between columns; a space stands for any white space; without one, the header's most frequent of , ; and tab."""
+    drops_separator: Annotated[str, Meta(min_length=1, max_length=1)] | None = None
+    """Inside of the one column of all drops; without one, the most frequent of , ; / and space in it."""
+    decimal: Literal[".", ","] = "."
+    header_line: Annotated[int, Meta(ge=0, le=1000)] = 1
+    """The line with the names of the columns, from 1 on; 0: there is none, and columns go by number."""
+    comments: Annotated[tuple[Annotated[str, Meta(min_length=1, max_length=60)], ...], Meta(max_length=20)] = ()
+    """Lines that begin so are no records."""
+    diameter_edges_mm: _Edges | None = None
+    """Bounds of the diameter classes, one more than there are classes: for other instruments, or other classes."""
+    velocity_edges_m_s: _Edges | None = None
+    """Bounds of the fall-speed classes; without them, an instrument of your own measures no speed."""
+    area_m2: Annotated[float, Meta(gt=0, le=_LARGEST_AREA_M2)] | None = None
+    """Measuring area."""
+
+    def __post_init__(self) -> None:
+        known = (*_WITH_SPEED, *_WITHOUT_SPEED)
+        if self.diameter_edges_mm is None and self.instrument not in known:
+            raise ValueError(
+                f"`instrument` {printable(self.instrument)} is none of {', '.join(known)}: give `diameter_edges_mm`, "
+                "`area_m2`, and `velocity_edges_m_s` if it measures fall speed"
+            )
+        if self.diameter_edges_mm is not None and self.area_m2 is None:
+            raise ValueError("`diameter_edges_mm` are given: give `area_m2`, too")
+        if self.diameter_edges_mm is None and (self.area_m2 is not None or self.velocity_edges_m_s is not None):
+            raise ValueError("`area_m2` and `velocity_edges_m_s` go with `diameter_edges_mm`: give them, too")
+        for name, edges, largest in (
+            ("diameter_edges_mm", self.diameter_edges_mm, _LARGEST_MM),
+            ("velocity_edges_m_s", self.velocity_edges_m_s, _FASTEST_M_S),
+        ):
+            if edges is not None and not (np.diff(edges) > 0).all():
+                raise ValueError(f"`{name}` must rise")
+            if edges is not None and edges[-1] > largest:
+                raise ValueError(f"`{name}` must lie within 0 to {largest:g}")
+        if self.quantity == "drops_m3_mm" and self.instrument_classes() is not None:
+            raise ValueError(
+                "`quantity` drops_m3_mm: a number density has no fall speeds; give `diameter_edges_mm` alone"
+            )
+        if self.time_format is not None:
+            _check_time_format(self.time_format)
+        if self.separator == self.decimal == "," or (self.drops_separator or "") == self.decimal:
+            raise ValueError(
+                "`separator`, `drops_separator`: a comma can't separate numbers and be their `decimal` sign"
+            )
+
+    def instrument_classes(self) -> Instrument | None:
+        """Classes and area of an instrument that measures fall speed; None for one that measures none."""
+        if self.diameter_edges_mm is None:
+            return _WITH_SPEED.get(self.instrument)
+        if self.velocity_edges_m_s is None:
+            return None
+        edges = np.array(self.diameter_edges_mm)
+        return Instrument(
+            name=self.instrument,
+            diameter_edges_mm=edges,
+            velocity_edges_m_s=np.array(self.velocity_edges_m_s),
+            area_m2=np.full(len(edges) - 1, self.area_m2),
+        )
+
+    def diameter_classes(self) -> tuple[Float64[np.ndarray, " edges"], float]:
+        """Bounds of the diameters in mm and the area in m^2, of an instrument that measures no speed."""
+        if self.diameter_edges_mm is None or self.area_m2 is None:
+            return _WITHOUT_SPEED[self.instrument]
+        return np.array(self.diameter_edges_mm), self.area_m2
+
+
+def load_columns(path: Path | str) -> TableColumns:
+    """Read a description of a table. Raises `ValueError` with the file, the field and what is allowed, `OSError`."""
+    try:
+        return converted(yaml_values(read_whole(Path(path))), TableColumns)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}".replace(f"{path}: {path}: ", f"{path}: ")) from None
+
+
+def table_columns(lines: Sequence[str]) -> TableColumns | None:
+    """The description of a table whose header names a time and all drops; None where there is no such header.
+
+    Campbell's TOA5 logs of a Parsivel, pyAtmosLogger's CSV, DISDRODB's names (NOAA's SCAMP), and an RD-80's table.
+    """
+    for i, line in enumerate(lines[:_HEADER_WITHIN]):
+        for separator in sorted(";\t,", key=line.count, reverse=True):
+            if line.count(separator) >= 2:
+                found = _described(_names(line, separator), separator, i + 1)
+                if found is not None:
+                    return found
+    return None
+
+
+def read_table(path: Path, lines: Sequence[str], columns: TableColumns) -> Reading:
+    """Read a table as it is described; raises `DisdrometerFileError` where columns are missing or no row is usable."""
+    layout = _layout(path, lines, columns)
+    records, skipped = gather(path, _table_rows(lines, columns), lambda line: _table_record(line, columns, layout))
+    classes = columns.instrument_classes()
+    if classes is not None:
+        return classes.reading_of(path, records, _order(columns), skipped)
+    edges, area = columns.diameter_classes()
+    counts = np.stack([record.counts for record in records])
+    seconds = np.array([record.seconds for record in records])
+    if columns.quantity == "drops_m3_mm":
+        counts = drops_of_densities(counts, edges, area, seconds)
+    spectra = DropSpectra(
+        instrument=columns.instrument,
+        times=np.array([record.time for record in records]),
+        seconds=seconds,
+        diameter_edges_mm=edges,
+        velocity_edges_m_s=None,
+        counts=counts[:, :, None],
+        area_m2=np.full(len(edges) - 1, area),
+        reported_mm_h=np.array([record.reported_mm_h for record in records]),
+    )
+    return Reading(spectra=spectra, skipped=tuple(skipped))
+
+
+# ---- a header that tells what its columns are
+
+
+_TIME_NAMES = ("timestamp", "datetime_utc", "datetime [utc]", "datetime", "time_utc", "time")
+
+_DAY_NAMES = ("yyyy-mm-dd", "date")
+
+_RATE_NAMES = ("rainfall_rate_32bit", "ri [mm/h]", "ri", "ri [mm/hr]")
+
+_SECONDS_NAMES = ("sample_interval", "sample interval [s]", "interval [s]", "sampleinterval")
+
+_ALL_DROPS_NAMES = ("raw_drop_number", "rowdata", "rawdata", "raw_data", "data_raw", "spectrum", "rawspectrum")
+
+_MEMBER = re.compile(r"^(.*?)[\[(_]?\d+(?:[,_]\d+)?[\])]?$")
+"""The stem of spectrum(17), RowData_17, M_0_16, n17."""
+
+
+def _described(names: Sequence[str], separator: str, header_line: int) -> TableColumns | None:
+    time = _named(names, _TIME_NAMES)
+    day = _named(names, _DAY_NAMES)
+    hour = _named(names, ("hh:mm:ss", "time"))
+    when = (day, hour) if day is not None and hour is not None else (time,) if time is not None else None
+    found = _drops_of(names)
+    if when is None or found is None:
+        return None
+    instrument, drops = found
+    seconds = _named(names, _SECONDS_NAMES)
+    rate = _named(names, _RATE_NAMES)
+    if rate is None:
+        rate = next((name for name in names if _is_rate(name)), None)
+    return TableColumns(
+        instrument=instrument,
+        drops=drops,
+        time=tuple(names.index(name) + 1 for name in when),
+        seconds_column=None if seconds is None else names.index(seconds) + 1,
+        rate=None if rate is None else names.index(rate) + 1,
+        separator=separator,
+        # An RD-80's program writes numbers as the country's settings have them: commas where tabs separate are decimal.
+        decimal="," if separator == "\t" and instrument == two_dvd.NAME else ".",
+        header_line=header_line,
+        comments=_CAMPBELL_WORDS if names[0] == "timestamp" else (),
+    )
+
+
+def _named(names: Sequence[str], known: Sequence[str]) -> str | None:
+    return next((name for name in known if name in names), None)
+
+
+def _is_rate(name: str) -> bool:
+    return ("intensity" in name or "rain rate" in name or "rain_rate" in name) and not re.search(
+        "snow|16 bit|min|max", name
+    )
+
+
+def _drops_of(names: Sequence[str]) -> tuple[str, Column | ColumnRange] | None:
+    """The instrument with as many classes as columns of one stem stand side by side, and those columns."""
+    stems, start = [_stem(name) for name in names], 0
+    for i in range(1, len(names) + 1):
+        if i < len(names) and stems[i] is not None and stems[i] == stems[start]:
+            continue
+        count, stem = i - start, stems[start]
+        drops = ColumnRange(first=start + 1, last=i)
+        if count == PARSIVEL.shape[0] * PARSIVEL.shape[1]:
+            return PARSIVEL.name, drops
+        if count == THIES.shape[0] * THIES.shape[1]:
+            return THIES.name, drops
+        if count == len(two_dvd.RD80_EDGES_MM) - 1 and stem == "n":
+            return two_dvd.NAME, drops
+        start = i
+    name = _named(names, _ALL_DROPS_NAMES)
+    return None if name is None else (PARSIVEL.name, names.index(name) + 1)
+
+
+def _stem(name: str) -> str | None:
+    match = _MEMBER.match(name) if len(name) <= _LONGEST_NAME else None
+    return match[1].rstrip("_") if match else None
+
+
+# ---- rows
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Places in a row, from 0 on."""
+
+    separator: str
+    time: tuple[int, ...]
+    seconds: int | None
+    rate: int | None
+    drops: slice | int
+    columns: int
+    """So many a row must have at least."""
+    classes: int
+    """So many numbers of drops."""
+
+
+def _layout(path: Path, lines: Sequence[str], columns: TableColumns) -> _Layout:
+    if columns.header_line > len(lines):
+        raise DisdrometerFileError(path, f"header_line is {columns.header_line}, and it has {len(lines)} lines")
+    # Without a header the first line that is a record shows the separator.
+    header = (
+        lines[columns.header_line - 1]
+        if columns.header_line
+        else next((line for _, line in _table_rows(lines, columns)), "")
+    )
+    separator = columns.separator or max(",;\t", key=header.count)
+    names = [name.strip(' "') for name in _split(header, separator)] if columns.header_line else []
+    folded = [name.lower() for name in names]
+
+    def place(column: Column, field: str) -> int:
+        if isinstance(column, int):
+            return column - 1
+        if column in names:
+            return names.index(column)
+        if column.lower() in folded:
+            return folded.index(column.lower())
+        some = ", ".join(names[:8]) or "none: header_line is 0, and columns go by number"
+        raise DisdrometerFileError(
+            path, f"`{field}`: no column is called {column} (there are {some}{', ...' * (len(names) > 8)})"
+        )
+
+    expected = _classes(columns)
+    if isinstance(columns.drops, ColumnRange):
+        first, last = place(columns.drops.first, "drops.first"), place(columns.drops.last, "drops.last")
+        if last < first:
+            raise DisdrometerFileError(
+                path, f"`drops`: its last column, {last + 1}, stands before its first, {first + 1}"
+            )
+        drops: slice | int = slice(first, last + 1)
+        if last + 1 - first != expected:
+            raise DisdrometerFileError(
+                path, f"`drops`: {last + 1 - first} columns, and {columns.instrument} has {expected} classes"
+            )
+    else:
+        drops = last = place(columns.drops, "drops")
+    times = (columns.time,) if isinstance(columns.time, str | int) else columns.time
+    time = tuple(place(each, "time") for each in times)
+    seconds = None if columns.seconds_column is None else place(columns.seconds_column, "seconds_column")
+    rate = None if columns.rate is None else place(columns.rate, "rate")
+    needed = max(*time, seconds or 0, rate or 0, last) + 1
+    return _Layout(separator, time, seconds, rate, drops, needed, expected)
+
+
+def _table_rows(lines: Sequence[str], columns: TableColumns) -> Iterator[tuple[str, str]]:
+    header = lines[columns.header_line - 1] if columns.header_line else None
+    for i, line in enumerate(lines[columns.header_line :], start=columns.header_line + 1):
+        # A logger that starts anew writes its header once more.
+        if line.strip() and line != header and not line.startswith(columns.comments):
+            yield f"line {i}", line
+
+
+def _table_record(line: str, columns: TableColumns, layout: _Layout) -> Record:
+    values = _split(line, layout.separator)
+    if len(values) < layout.columns:
+        raise RecordError(f"{len(values)} columns instead of {layout.columns}: the record is cut off")
+    seconds = float("nan") if columns.seconds is None else columns.seconds
+    if layout.seconds is not None:
+        seconds = interval_s(_point(values[layout.seconds], columns))
+    rate = float("nan") if layout.rate is None else rain_rate(_point(values[layout.rate], columns))
+    return Record(
+        time=_time(" ".join(values[i].strip(' "') for i in layout.time), columns, seconds),
+        seconds=seconds,
+        reported_mm_h=rate * _RATE_UNITS[columns.rate_unit],
+        counts=drop_counts(_drops(values, columns, layout), layout.classes),
+    )
+
+
+def _time(text: str, columns: TableColumns, seconds: float) -> np.datetime64:
+    time = utc(text, columns.time_format) if columns.time_format else utc(text, *_TIMES)
+    time -= np.timedelta64(round(3_600_000 * columns.utc_offset_h), "ms")
+    if columns.time_is == "start":
+        if np.isnan(seconds):
+            raise RecordError("its time is that of its start, and its length is not known: give `seconds`")
+        time += np.timedelta64(round(1000 * seconds), "ms")
+    return time
+
+
+def _drops(values: Sequence[str], columns: TableColumns, layout: _Layout) -> list[str]:
+    if isinstance(layout.drops, slice):
+        texts = list(values[layout.drops])
+    else:
+        whole = values[layout.drops].strip(' "')
+        separator = columns.drops_separator or max(",;/ ", key=whole.count)
+        texts = whole.split() if separator == " " else whole.removesuffix(separator).split(separator)
+    return [_point(text, columns).strip() for text in texts]
+
+
+def _point(text: str, columns: TableColumns) -> str:
+    return text.replace(",", ".") if columns.decimal == "," else text
+
+
+def _split(line: str, separator: str) -> list[str]:
+    if separator == " ":
+        return line.split()
+    try:
+        return next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    except (csv.Error, StopIteration) as error:
+        raise RecordError(f"the line can't be split into columns ({error})") from None
+
+
+def _names(line: str, separator: str) -> list[str]:
+    try:
+        return [name.strip(' "').lower() for name in _split(line, separator)]
+    except RecordError:
+        return []
+
+
+def _classes(columns: TableColumns) -> int:
+    classes = columns.instrument_classes()
+    return len(columns.diameter_classes()[0]) - 1 if classes is None else classes.shape[0] * classes.shape[1]
+
+
+def _order(columns: TableColumns) -> Order:
+    """The maker's order: a Parsivel writes all diameters of one speed, a Thies all speeds of one diameter."""
+    return columns.order or ("velocities first" if columns.instrument == PARSIVEL.name else "diameters first")
+
+
+def _check_time_format(time_format: str) -> None:
+    """Raise ValueError where a format can't be a record's time: no year, month, day, hour."""
+    moment = datetime(2019, 11, 28, 13, 47, 59)
+    try:
+        same = datetime.strptime(moment.strftime(time_format), time_format)
+    except (ValueError, re.error) as error:
+        raise ValueError(f"`time_format` {printable(time_format)}: {printable(error)}") from None
+    if same.replace(minute=0, second=0) != moment.replace(minute=0, second=0):
+        raise ValueError(
+            f"`time_format` {printable(time_format)} must name year, month, day and hour, as %Y-%m-%d %H:%M:%S does"
+        )

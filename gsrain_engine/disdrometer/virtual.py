@@ -1,0 +1,148 @@
+"""The virtual disdrometer: counts the drops of the simulated field that fall through a horizontal area."""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float64, Int64
+from scipy.interpolate import CubicHermiteSpline
+
+from ..rain.drop_field import CLASS_STRIDE, FIRST_OF_CLASS, Offsets, pcg4d_scalar
+from ..rain.properties import CLASSES
+from ..rain.simulation import Rainfall, View
+from ..rain.streaks import StreakField
+from ..scene.camera import Camera
+from .measurement import CountedDrops
+
+SMALLEST_AREA_M2 = 1e-4
+"""A thumbnail: smaller ones catch nothing."""
+
+_GUST_STEP_S = 0.02
+"""A cubic through place and speed every 20 ms follows the strongest gusts to 3 nm, about one step of the lattice."""
+
+_MIDDLE, _WHOLE = 2**31, 2**32
+
+_HERE = View(Camera.from_fov(1, 1, 45.0, np.eye(4)), np.eye(4), np.zeros(3))
+"""The field doesn't depend on who looks; this camera stands in the anchor and stays there."""
+
+
+@dataclass(frozen=True, eq=False)
+class VirtualDisdrometer:
+    """A horizontal square that stands still in the middle of the streak region.
+
+    Nothing is sampled: from a drop's whole-number place in the lattice follow all moments at which it passes the
+    square's height, and at each of them its x and y, so the counts are those of the very drops that are drawn. Raises
+    `ValueError` where the square is larger than one period of the lattice: it would count the same drop twice.
+    """
+
+    rainfall: Rainfall
+    area_m2: float = 0.5
+
+    def __post_init__(self) -> None:
+        largest = float(np.min(self._field(0.0).period_m[:2])) ** 2
+        if not SMALLEST_AREA_M2 <= self.area_m2 <= largest * (1 + 1e-9):
+            raise ValueError(
+                f"area {self.area_m2:g} m²: must be within {SMALLEST_AREA_M2:g}..{largest:.4g} m², "
+                "the most before the drop field repeats"
+            )
+
+    def measure(self, times_s: Float64[np.ndarray, " records_and_one"]) -> CountedDrops:
+        """Count in records from each time to the next, of a rain that does not change."""
+        return self.collect(times_s, [self.count(start, end) for start, end in pairwise(times_s)])
+
+    def records(self, times_s: Float64[np.ndarray, " records_and_one"]) -> list[CountedDrops]:
+        """Count one record after the other, each with the sizes and speeds of its middle: under a weather they change.
+
+        Records should be short against the weather: the drops that exist, too, are those of the middle.
+        """
+        moments = [0.5 * (start + end) for start, end in pairwise(times_s)]
+        return [
+            replace(self, rainfall=self.rainfall.moment(middle)).collect(span, [self.count(*span)])
+            for middle, span in zip(moments, np.stack([times_s[:-1], times_s[1:]], axis=1), strict=True)
+        ]
+
+    def count(self, start_s: float, end_s: float) -> Int64[np.ndarray, " classes"]:
+        """Drops of each class that pass from a time, included, to another, which the next record begins with."""
+        field, middle, later = (self._field(time_s) for time_s in (start_s, 0.5 * (start_s + end_s), end_s))
+        before, after = _places(field.where), _places(later.where)
+        size = np.round(np.minimum(np.sqrt(self.area_m2) / field.period_m[:2], 1) * _WHOLE).astype(np.int64)
+        path = _path(self.rainfall, start_s, end_s) * _WHOLE / field.period_m[:2]
+        counts = np.zeros(CLASSES, np.int64)
+        _count(np.uint32(field.rain.seed), middle.count, before, after, size, path, end_s - start_s, counts)
+        return counts
+
+    def collect(
+        self, times_s: Float64[np.ndarray, " records_and_one"], counts: list[Int64[np.ndarray, " classes"]]
+    ) -> CountedDrops:
+        """Put together what was counted between each time and the next."""
+        return CountedDrops(
+            state=self.rainfall.state,
+            times_s=times_s,
+            area_m2=self.area_m2,
+            diameters_mm=self.rainfall.diameters_mm,
+            fall_speed_m_s=self.rainfall.motion.fall_speed_m_s,
+            counts=np.stack(counts),
+        )
+
+    def _field(self, time_s: float) -> StreakField:
+        return self.rainfall.streak_field(time_s, _HERE)
+
+
+def _places(where: Offsets) -> Int64[np.ndarray, "classes 3"]:
+    """Offsets as one number: 2^32 to a period."""
+    return where.wraps.astype(np.int64) * _WHOLE + where.fractions
+
+
+def _path(rainfall: Rainfall, start_s: float, end_s: float) -> Float64[np.ndarray, "4 steps 2"]:
+    """Where the wind has carried drops since a start, in metres: cubics of the time in each of equal steps."""
+    steps = 1 if rainfall.rain.gust_m_s == 0 else int(np.ceil((end_s - start_s) / _GUST_STEP_S))
+    times = np.linspace(start_s, end_s, steps + 1)
+    motions = [rainfall.moment(time).motion for time in times]
+    drift = np.stack([motion.drift(time) for motion, time in zip(motions, times, strict=True)])
+    wind = np.stack([motion.wind.velocity(time) for motion, time in zip(motions, times, strict=True)])
+    return CubicHermiteSpline(times, drift - drift[0], wind).c
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check
+def _count(seed, count, before, after, size, path, seconds, counts):
+    """Count class by class, in an order that gives every thread slow and fast ones."""
+    for j in numba.prange(CLASSES):
+        c = (j * CLASS_STRIDE) % CLASSES
+        first = (c * FIRST_OF_CLASS) % CLASSES
+        counts[c] = _count_class(first, count, seed, before[c], after[c, 2], size, path, seconds)
+
+
+@numba.njit
+@no_type_check
+def _count_class(first, count, seed, before, after_z, size, path, seconds):
+    zero, one, two, mask = np.uint32(0), np.uint32(1), np.uint32(2), np.int64(_WHOLE - 1)
+    steps, passed = path.shape[1], 0
+    low_x, low_y = _MIDDLE - size[0] // 2, _MIDDLE - size[1] // 2
+    for i in range(first, count, CLASSES):
+        number = np.uint32(i)
+        _, _, start_z, _ = pcg4d_scalar(number, zero, zero, seed)
+        above = np.int64(start_z) + before[2] - _MIDDLE
+        below = np.int64(start_z) + after_z - _MIDDLE
+        for k in range((below >> 32) + 1, (above >> 32) + 1):  # the middle of the cell after k wraps
+            at = (above - (k << 32)) / (above - below) * steps
+            step = min(int(at), steps - 1)
+            t = (at - step) * seconds / steps
+            wrap_z = np.uint32(k)
+            start_x, _, _, _ = pcg4d_scalar(number, wrap_z, one, seed)
+            x = np.int64(start_x) + before[0] + np.int64(np.floor(_cubic(path, step, 0, t)))
+            if not low_x <= (x & mask) < low_x + size[0]:
+                continue
+            _, start_y, _, _ = pcg4d_scalar(number, wrap_z, np.uint32(np.uint32(x >> 32) * two + two), seed)
+            y = np.int64(start_y) + before[1] + np.int64(np.floor(_cubic(path, step, 1, t)))
+            if low_y <= (y & mask) < low_y + size[1]:
+                passed += 1
+    return passed
+
+
+@numba.njit(inline="always")
+@no_type_check
+def _cubic(path, step, axis, t):
+    return ((path[0, step, axis] * t + path[1, step, axis]) * t + path[2, step, axis]) * t + path[3, step, axis]

@@ -1,1 +1,0 @@
-"""A driver in a closed loop with scene and rain."""

@@ -1,1 +1,0 @@
-"""Drivers: what they are shown, and the plans that they make."""

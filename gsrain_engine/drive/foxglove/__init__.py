@@ -1,1 +1,0 @@
-"""Roll-outs for Foxglove: MCAP files with its messages."""

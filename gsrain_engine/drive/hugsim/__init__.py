@@ -1,1 +1,0 @@
-"""HUGSIM's pipe protocol: outside drivers, unchanged."""

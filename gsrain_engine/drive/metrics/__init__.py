@@ -1,1 +1,0 @@
-"""What a roll-out is worth, each measure by its definition."""

@@ -1,1 +1,0 @@
-"""Finished drives, played again in their scene."""

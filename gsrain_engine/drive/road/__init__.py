@@ -1,1 +1,0 @@
-"""What a vehicle drives on, along and into."""

@@ -1,1 +1,0 @@
-"""What happened in a drive, as a value and in files."""

@@ -1,1 +1,0 @@
-"""Other road users: their looks, and the rules by which they move."""

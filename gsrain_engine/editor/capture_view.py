@@ -1,0 +1,353 @@
+"""An open capture beside the scene: which view is chosen, what of it is shown, and looking from its cameras."""
+
+import logging
+from collections import OrderedDict
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+
+from ..datasets.capture import Capture, CaptureError, OutsideError, View
+from ..scene.scene import Scene, rotation_to_z_up
+from .overlays import RecordedCameras, fitting_fov_deg, frustum_length
+from .viewport.options import Texture
+from .viewport_state import ViewedDocument
+
+logger = logging.getLogger("gsrain")
+
+_ALIKE = float(np.cos(np.radians(20.0)))
+"""A person levels a scene by a few degrees; other data sets have another axis up."""
+
+_SAME_PLACE = 1e-6
+"""Of a pose's numbers: the eye stands where a picture was taken."""
+
+# § The measured points of a capture that the viewport shows: a fair choice of them, with colours.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownPoints:
+    """In the capture's world."""
+
+    positions: Float32[np.ndarray, "n 3"]
+    colors: UInt8[np.ndarray, "n 3"]
+    total: int
+    """How many the capture has."""
+
+
+class CaptureView:
+    """One capture at a time. Call everything on the main thread, and `poll` once a frame."""
+
+    def __init__(self) -> None:
+        self.capture: Capture | None = None
+        self.path: Path | None = None
+        """Where it was read."""
+        self.chosen = 0
+        """Index of the view that is looked at."""
+        self.sensor = ""
+        """Only views of this camera are listed and shown; "" is all."""
+        self.show_frustums = True
+        self.show_points = True
+        self.show_picture = True
+        """Whether the recorded picture lies over the render while the eye is where it was taken."""
+        self.opacity = 0.5
+        """Of that picture: 0 is the render alone."""
+        self.frustum_m = 1.0
+        """Length of the cameras' pyramids, in the capture's units."""
+        self.points: ShownPoints | None = None
+        self.pictures: ViewPictures | None = None
+        self.textures: dict[Wish, Texture] = {}
+        """Pictures that are on the GPU."""
+        self.points_texture: Texture | None = None
+        """The points as the viewport sees them now."""
+        self.viewport_px = (960, 640)
+        """Size of the viewport at the last frame."""
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="capture")
+        self.allows_outside = False
+        """Whether files that lie outside of the capture's folder and are named in its files are read."""
+        self.refused: tuple[Path, str] | None = None
+        """A capture that was not opened because its files name others outside of its folder, and the sentence."""
+        self._opening: tuple[Path, Future[tuple[Capture, ShownPoints | None]]] | None = None
+        self._allowing = False
+        self.in_scene_axes: bool | None = None
+        """Whether the capture lies in the scene's units and axes, where a person has said so."""
+        self._cameras: tuple[Float64[np.ndarray, "4 4"], RecordedCameras] | None = None
+        self._snapped: tuple[int, Float64[np.ndarray, "4 4"]] | None = None
+
+    # Opening and closing
+
+    def open(self, path: Path, *, allow_outside: bool = False) -> None:
+        """Read a capture in the background; of several, the last one. Trouble is told in `problem`.
+
+        One whose files name others outside of its folder is left in `refused`, unless that is allowed.
+        """
+        self.refused = None
+        self._allowing = allow_outside
+        read = partial(_read, allow_outside=True) if allow_outside else _read
+        self._opening = path, self._thread.submit(read, path)
+
+    def close_capture(self) -> None:
+        """Show none any more."""
+        self.capture = self.path = self.points = self.pictures = self._snapped = None
+        self.in_scene_axes = self._cameras = None
+        self.chosen, self.sensor = 0, ""
+
+    @property
+    def busy(self) -> str | None:
+        """What is being read; None when nothing is."""
+        return None if self._opening is None else f"Reading {self._opening[0].name}"
+
+    @property
+    def is_working(self) -> bool:
+        """Whether a frame should look after what is being read."""
+        return self.busy is not None or (self.pictures is not None and self.pictures.is_reading)
+
+    def poll(self, session: ViewedDocument) -> None:
+        if self._opening is not None and self._opening[1].done():
+            (path, reading), self._opening = self._opening, None
+            try:
+                capture, points = reading.result()
+            except OutsideError as error:
+                self.refused = path, str(error)
+                logger.error("%s", error)
+            except (CaptureError, OSError, ValueError, MemoryError) as error:
+                session.problem = str(error)
+                logger.error("%s", error)
+            else:
+                self._enter(path, capture, points)
+                self.allows_outside = self._allowing
+        if self.pictures is not None:
+            self.pictures.poll()
+
+    def close(self) -> None:
+        self._thread.shutdown(cancel_futures=True)
+
+    def _enter(self, path: Path, capture: Capture, points: ShownPoints | None) -> None:
+        self.close_capture()
+        self.capture, self.path, self.points = capture, path, points
+        self.pictures = ViewPictures(capture, self._thread)
+        self.frustum_m = frustum_length(capture)
+        logger.info("Opened capture %s: %d views", capture.name, len(capture))
+        for problem in capture.problems:
+            logger.warning("%s: %s", capture.name, problem)
+
+    # Views
+
+    @property
+    def view(self) -> View | None:
+        return None if self.capture is None else self.capture[min(self.chosen, len(self.capture) - 1)]
+
+    @property
+    def listed(self) -> list[int]:
+        """Indices of the views of the chosen camera, in their order."""
+        if self.capture is None:
+            return []
+        return [i for i, view in enumerate(self.capture) if self.sensor in ("", view.sensor)]
+
+    @property
+    def has_times(self) -> bool:
+        return self.capture is not None and any(view.time_s for view in self.capture)
+
+    @property
+    def problems(self) -> list[str]:
+        """What is wrong with the capture: told when it was opened, and pictures that could not be read since."""
+        if self.capture is None or self.pictures is None:
+            return []
+        return [*self.capture.problems, *self.pictures.faults.values()]
+
+    def lies_in(self, scene: Scene) -> bool:
+        """Whether the capture has the units and axes of the scene: as a person says, else where both agree on up."""
+        if self.in_scene_axes is not None or self.capture is None:
+            return self.in_scene_axes is not False
+        alike = float(np.dot(_unit(scene.up), _unit(self.capture.up)))
+        return bool(scene.members) and alike > _ALIKE
+
+    def to_world(self, scene: Scene) -> Float64[np.ndarray, "4 4"]:
+        """Similarity from the capture to the world (metres, z up).
+
+        A scene that was made from it has its units and axes, and knows how they lie in the world; beside another scene
+        its own upward direction is turned up.
+        """
+        if self.capture is None or self.lies_in(scene):
+            return scene.scene_to_world
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation_to_z_up(self.capture.up)
+        return matrix
+
+    def cameras(self, scene: Scene) -> RecordedCameras:
+        """Cameras of all views in the world."""
+        matrix = self.to_world(scene)
+        if self._cameras is None or not np.array_equal(self._cameras[0], matrix):
+            self._cameras = matrix, RecordedCameras(view.camera.moved(matrix) for view in self.capture or ())
+        return self._cameras[1]
+
+    def length_m(self, scene: Scene) -> float:
+        """Length of the pyramids in the world."""
+        return self.frustum_m * float(np.cbrt(np.linalg.det(self.to_world(scene)[:3, :3])))
+
+    def step(self, session: ViewedDocument, steps: int) -> None:
+        """Look from the view that many further on in the list, and from the first after the last."""
+        listed = self.listed
+        if listed:
+            at = listed.index(self.chosen) if self.chosen in listed else -1 if steps > 0 else 0
+            self.look_from(session, listed[(at + steps) % len(listed)])
+
+    def look_from(self, session: ViewedDocument, index: int) -> None:
+        """Choose a view and look from where it was taken, at its moment; a rolled camera is looked from level."""
+        if self.capture is None:
+            return
+        self.chosen = index
+        camera, (width, height) = self.cameras(session.scene)[index], self.viewport_px
+        session.stop_riding()
+        session.following.follow("")
+        session.navigation.stop()
+        session.navigation.look_like(camera)
+        session.navigation.vertical_fov_deg = min(fitting_fov_deg(camera, width / height), 150.0)
+        if session.scene.actors:
+            session.clock.playing = False
+            session.clock.seek(self.capture[index].time_s)
+        self._snapped = index, session.navigation.camera(1, 1).world_to_camera
+
+    def stands_at(self, session: ViewedDocument) -> int | None:
+        """Return the view that the eye looks from; None where a person has moved on."""
+        if self._snapped is None or session.view.follow_path:
+            return None
+        index, pose = self._snapped
+        now = session.navigation.camera(1, 1).world_to_camera
+        return index if np.allclose(now, pose, rtol=0, atol=_SAME_PLACE * max(1.0, float(np.abs(pose).max()))) else None
+
+
+def _unit(direction: tuple[float, float, float]) -> Float64[np.ndarray, "3"]:
+    return np.asarray(direction, np.float64) / np.linalg.norm(direction)
+
+
+def _read(path: Path, allow_outside: bool = False) -> tuple[Capture, ShownPoints | None]:
+    from ..datasets.open_capture import open_capture  # loads every reader
+
+    capture = open_capture(path, allow_outside=allow_outside)
+    return capture, shown_points(capture)
+
+
+MOST_POINTS = 120_000
+"""As many as software OpenGL draws in a few milliseconds."""
+
+_PLAIN = (205, 210, 215)
+
+
+def shown_points(capture: Capture) -> ShownPoints | None:
+    """Choose points of a capture, at random where there are too many; None where it has none.
+
+    Points with colours keep them; lidar is coloured by height, from blue to red.
+    """
+    rng = np.random.default_rng(0)
+    given = 0 if capture.points_m is None else len(capture.points_m)
+    total = given + sum(len(sweep.points_m) for sweep in capture.sweeps)
+    if total == 0:
+        return None
+    share = min(1.0, MOST_POINTS / total)
+    positions: list[np.ndarray] = []
+    colors: list[np.ndarray] = []
+    if capture.points_m is not None and given:
+        chosen = _chosen(given, share, rng)
+        positions.append(capture.points_m[chosen])
+        plain = np.tile(np.array(_PLAIN, np.uint8), (len(chosen), 1))
+        colors.append(plain if capture.point_colors is None else capture.point_colors[chosen])
+    lidar = [sweep.points_m[_chosen(len(sweep.points_m), share, rng)] for sweep in capture.sweeps]
+    if sum(map(len, lidar)):
+        measured = np.concatenate(lidar).astype(np.float64)
+        positions.append(measured)
+        colors.append(_height_colors(measured @ np.asarray(capture.up)))
+    return ShownPoints(np.concatenate(positions).astype(np.float32), np.concatenate(colors), total)
+
+
+def _chosen(count: int, share: float, rng: np.random.Generator) -> np.ndarray:
+    return np.arange(count) if share >= 1 else np.sort(rng.choice(count, int(count * share), replace=False))
+
+
+def _height_colors(heights: Float64[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3"]:
+    low, high = np.percentile(heights, (2, 98))
+    shares = np.clip((heights - low) / max(high - low, 1e-9), 0, 1)
+    turbo = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
+    return np.asarray(turbo[np.rint(shares * 255).astype(int)], np.uint8)
+
+
+# § Recorded pictures of an open capture, read in a thread as they are asked for; the latest wish comes first.
+
+THUMBNAIL_PX = 192
+
+LARGE_PX = 1280
+"""Widths that pictures are read in; lines are straight in them, whatever the lens was."""
+
+_MOST = {THUMBNAIL_PX: 400, LARGE_PX: 6}
+"""So many of a width are kept: 25 MB of thumbnails, 25 MB of large ones."""
+
+Pixels = UInt8[np.ndarray, "h w 3"]
+
+
+class Wish(NamedTuple):
+    """A picture in a size."""
+
+    view: int
+    width_px: int
+
+
+class ViewPictures:
+    """Call everything on the main thread, and `poll` once a frame."""
+
+    def __init__(self, capture: Capture, thread: ThreadPoolExecutor) -> None:
+        self.faults: dict[int, str] = {}
+        """Why pictures can't be shown, by view."""
+        self._capture, self._thread = capture, thread
+        self._kept: OrderedDict[Wish, Pixels] = OrderedDict()
+        self._wishes: dict[Wish, None] = {}
+        self._reading: tuple[Wish, Future[Pixels]] | None = None
+
+    def want(self, view: int, width_px: int) -> Pixels | None:
+        """Return a picture at most so wide, or None while it is being read; to be said again each frame."""
+        wish = Wish(view, width_px)
+        if wish in self._kept:
+            self._kept.move_to_end(wish)
+            return self._kept[wish]
+        if view not in self.faults:
+            self._wishes[wish] = None
+        return None
+
+    def __iter__(self) -> Iterator[tuple[Wish, Pixels]]:
+        return iter(self._kept.items())
+
+    @property
+    def is_reading(self) -> bool:
+        """Whether something that was asked for is not there yet."""
+        return self._reading is not None or bool(self._wishes)
+
+    def poll(self) -> None:
+        """Take in what has been read, and read what the last frame asked for."""
+        if self._reading is not None and self._reading[1].done():
+            (wish, reading), self._reading = self._reading, None
+            try:
+                self._keep(wish, reading.result())
+            except (CaptureError, OSError, ValueError, MemoryError) as error:
+                self.faults[wish.view] = str(error)
+        wishes = [each for each in self._wishes if each not in self._kept and each.view not in self.faults]
+        self._wishes.clear()
+        if self._reading is None and wishes:
+            wish = max(wishes, key=lambda each: each.width_px)  # what is looked at before what is listed
+            self._reading = wish, self._thread.submit(_read_image, self._capture, wish)
+
+    def _keep(self, wish: Wish, pixels: Pixels) -> None:
+        self._kept[wish] = pixels
+        same = [each for each in self._kept if each.width_px == wish.width_px]
+        for old in same[: -_MOST[wish.width_px]]:
+            del self._kept[old]
+
+
+def _read_image(capture: Capture, wish: Wish) -> Pixels:
+    from ..datasets.undistort import prepared
+
+    view = capture[wish.view]
+    return prepared(view, min(wish.width_px, view.camera.width)).image

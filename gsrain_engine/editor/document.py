@@ -1,0 +1,206 @@
+"""What a person edits: a scene, its rain, and how the rain changes over time."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import msgspec
+
+from ..rain.keyframes import WITHOUT_CHANGE, Weather
+from ..rain.settings import Rain
+from ..scene.scene import Scene
+from .timeline import Clock
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Document:
+    """What a person edits and what undo steps over."""
+
+    scene: Scene
+    rain: Rain
+    weather: Weather = WITHOUT_CHANGE
+    """How the rain changes over time."""
+
+
+# § Undo and redo: a list of documents and a cursor. Documents are values, so a step costs a reference.
+
+
+@dataclass(slots=True)
+class _Step:
+    label: str
+    document: Document
+    gesture: str | None = None
+    """What is being dragged; further changes by the same gesture belong to the same step."""
+
+
+@dataclass(slots=True)
+class History:
+    """Steps that led here; the cursor stands on the present one."""
+
+    _steps: list[_Step] = field(default_factory=list[_Step])
+    _cursor: int = 0
+
+    @classmethod
+    def beginning_with(cls, document: Document) -> "History":
+        """Start with a document that was opened."""
+        return cls([_Step("Open", document)])
+
+    @property
+    def labels(self) -> list[str]:
+        """What each step did, the oldest first."""
+        return [step.label for step in self._steps]
+
+    @property
+    def cursor(self) -> int:
+        return self._cursor
+
+    @property
+    def present(self) -> Document:
+        return self._steps[self._cursor].document
+
+    @property
+    def previous(self) -> Document:
+        """The document before the last step; at the beginning the present one."""
+        return self._steps[max(0, self._cursor - 1)].document
+
+    @property
+    def gesture(self) -> str | None:
+        """The gesture that the present step belongs to, while it goes on."""
+        return self._steps[self._cursor].gesture
+
+    @property
+    def undo_label(self) -> str | None:
+        """What undo would take back; None at the beginning."""
+        return self._steps[self._cursor].label if self._cursor > 0 else None
+
+    @property
+    def redo_label(self) -> str | None:
+        """What redo would bring back; None at the end."""
+        return self._steps[self._cursor + 1].label if self._cursor + 1 < len(self._steps) else None
+
+    def record(self, label: str, document: Document, gesture: str | None = None) -> None:
+        """Go to a new document; what could be redone is gone. A gesture that goes on replaces its own last step."""
+        step = self._steps[self._cursor]
+        if gesture is not None and step.gesture == gesture:
+            step.document = document
+        else:
+            del self._steps[self._cursor + 1 :]
+            self._steps.append(_Step(label, document, gesture))
+            self._cursor += 1
+
+    def end_gesture(self) -> None:
+        """Let go: the next change is a step of its own."""
+        self._steps[self._cursor].gesture = None
+
+    def undo(self) -> Document:
+        """Step back; at the beginning nothing happens."""
+        self._cursor = max(0, self._cursor - 1)
+        return self.present
+
+    def go_to(self, step: int) -> Document:
+        self._cursor = min(max(step, 0), len(self._steps) - 1)
+        return self.present
+
+    def redo(self) -> Document:
+        """Step forward; at the end nothing happens."""
+        self._cursor = min(len(self._steps) - 1, self._cursor + 1)
+        return self.present
+
+
+# § A document that is edited: every change is a step of its history, and scene, rain and weather are read from it.
+
+logger = logging.getLogger("gsrain")
+
+
+class EditedDocument:
+    """The present document and the ways to change it. What depends on it follows in `_follow_document`."""
+
+    def __init__(self, document: Document, clock: Clock) -> None:
+        self.clock = clock
+        self.history = History.beginning_with(document)
+        self.problem: str | None = None
+        """What went wrong last, in one sentence: the viewport shows it until it is closed or a scene is opened."""
+        self._key_moment: tuple[str | None, float] = None, 0.0
+        """A gesture that goes on, and the time at which it sets its keys."""
+
+    def _follow_document(self) -> None:
+        raise NotImplementedError
+
+    @property
+    def scene(self) -> Scene:
+        return self.history.present.scene
+
+    @property
+    def rain(self) -> Rain:
+        return self.history.present.rain
+
+    def change_rain(self, label: str, gesture: str | None = None, **fields: object) -> None:
+        """Change fields of the rain. Changes of one gesture (a drag) make one step; call `end_gesture` when it ends.
+
+        A field that has keys gets its key of the present time, that of the gesture's beginning while one goes on.
+        """
+        if gesture is None or gesture != self._key_moment[0]:
+            self._key_moment = gesture, self.clock.time_s
+        at_s = self._key_moment[1]
+        keyed = {name: value for name, value in fields.items() if self.weather.is_keyed(name) and value is not None}
+        rain = msgspec.structs.replace(self.rain, **fields)
+        weather = self.weather.with_key(at_s, **keyed) if keyed else self.weather
+        self._go_to_rain(label, rain, weather, gesture)
+
+    @property
+    def weather(self) -> Weather:
+        """How the rain changes over time."""
+        return self.history.present.weather
+
+    @property
+    def rain_now(self) -> Rain:
+        """The rain at the present time: what has keys as it is between them, the rest as it is set."""
+        return self.weather.rain_at(self.rain, self.clock.time_s)
+
+    def set_weather(self, label: str, weather: Weather, gesture: str | None = None) -> None:
+        """Let the rain change over time in another way; drops in the air go on from where they are."""
+        self._go_to_rain(label, self.rain, weather, gesture)
+
+    def _go_to_rain(self, label: str, rain: Rain, weather: Weather, gesture: str | None) -> None:
+        present = self.history.present
+        if rain != present.rain or weather != present.weather:
+            self.history.record(label, replace(present, rain=rain, weather=weather), gesture)
+            self._follow_document()
+
+    def set_scene(self, label: str, scene: Scene, gesture: str | None = None) -> None:
+        """Go to a changed version of the scene."""
+        self.history.record(label, replace(self.history.present, scene=scene), gesture)
+        self._follow_document()
+
+    def edit(self, label: str, change: Callable[..., Scene], *arguments: object, gesture: str | None = None) -> None:
+        """Let a function of the scene make the next one; what it refuses (`ValueError`) is kept in `problem`."""
+        try:
+            changed = change(self.scene, *arguments)
+        except ValueError as error:
+            self.problem = str(error)
+            logger.error("%s", error)
+        else:
+            self.set_scene(label, changed, gesture)
+
+    def show_member(self, key: str, visible: bool) -> None:
+        """Show or hide a layer or an actor."""
+        verb = "Show" if visible else "Hide"
+        self.set_scene(f"{verb} {self.scene.member(key).name}", self.scene.with_member(key, visible=visible))
+
+    def end_gesture(self) -> None:
+        """Say that a drag is over."""
+        self._key_moment = None, 0.0
+        self.history.end_gesture()
+
+    def undo(self) -> None:
+        self.history.undo()
+        self._follow_document()
+
+    def redo(self) -> None:
+        self.history.redo()
+        self._follow_document()
+
+    def go_to_step(self, step: int) -> None:
+        """Go to a step of the history, backward or forward."""
+        self.history.go_to(step)
+        self._follow_document()

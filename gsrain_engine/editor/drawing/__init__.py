@@ -1,0 +1,1 @@
+"""Drawing an editor: live view, textures, uploads."""

@@ -1,0 +1,455 @@
+"""Draws a session into textures, frame by frame: looks at the sky, uploads staged scenes in slices, saves stills."""
+
+import logging
+import time
+from collections.abc import Hashable, Iterator
+from typing import NamedTuple
+
+import moderngl
+import numpy as np
+
+from ...compile_cache import has_kernels
+from ...render.draw import Shot, Thinning, draw_shot
+from ...render.images import write_picture
+from ...render.opengl.context import check_context, is_software
+from ...render.opengl.renderer import Screen, SplatRenderer
+from ...render.renderer import Renderer
+from ...scene.scene import RigCamera, Scene
+from ...simulation.sensors import of_width, placed_camera
+from ..editor import Session, WindowBackend
+from ..viewport.options import EXACT, Detail, Side, Texture
+from ..viewport.picking import SkyPick, color_there
+from ..viewport_state import StagedScene
+from .textures import CpuPicture
+from .uploads import SceneUpload, SkyWatch
+
+logger = logging.getLogger("gsrain")
+
+_STAND_IN_GAUSSIANS = 1_000_000
+"""Larger scenes wait for the processor's kernels: software OpenGL would need minutes and twice the memory."""
+
+_LOADING_S = 2.0
+"""Kernels from the cache are there by then, on a busy machine too; if not, some of them had to be compiled."""
+
+_UPLOAD_S = 0.01
+"""Of each frame, for bringing slices of a scene to the GPU."""
+
+_ASIDE = 1 / 4
+"""Share of the Gaussians in small pictures beside the viewport, while time goes on."""
+
+_AT_ONCE = 1 << 16
+"""So many new Gaussians a frame uploads by the way; for more of them the last scene stays in the picture meanwhile."""
+
+
+class LiveView:
+    """What the viewport shows. Lives in the window's OpenGL context and on its thread.
+
+    On a GPU, OpenGL draws. Where OpenGL is a software rasterizer, the processor draws the same picture by itself
+    several times faster. Until its kernels are compiled OpenGL stands in; where they only have to be loaded, the
+    picture waits for them: compiling shaders takes longer. `backend` overrules the choice.
+    """
+
+    def __init__(self, context: moderngl.Context, session: Session, backend: WindowBackend = "auto") -> None:
+        self.session = session
+        self._context = context
+        self._opengl = SplatRenderer(context)
+        on_cpu = is_software(context) if backend == "auto" else backend == "cpu"
+        self._cpu = CpuPicture(context) if on_cpu else None
+        self._waits_until = 0.0
+        if self._cpu is not None and has_kernels():
+            self._cpu.compile()
+            self._waits_until = time.perf_counter() + _LOADING_S
+        self._on_cpu = self._gpu_is_full = self._is_empty = False
+        self._sides = (_SidePicture(context), _SidePicture(context))
+        self._sky = SkyWatch()
+        self._moment: Shot | None = None
+        self._is_moving = False
+        self._asked_at = 0.0
+        self._staged: StagedScene | None = None
+        self._preparing: Iterator[None] = iter(())
+        self._upload = SceneUpload(self._opengl)
+        self._is_uploading = False
+        """Whether a side still shows an older scene."""
+        self._upload_until = 0.0
+        self._thinnings: dict[float, Thinning] = {}
+        self._thinned = session.scene
+
+    def draw(self, width: int, height: int) -> list[moderngl.Texture]:
+        """Draw the present moment for a viewport of a size in pixels: a texture for each of the session's sides.
+
+        Each shows the whole picture, its first row on top. When nothing has changed since the last call, the last
+        textures come back. Where the scene is too much for the graphics card, the processor goes on.
+        """
+        try:
+            return self._draw(width, height)
+        except MemoryError as error:
+            if self._on_cpu or self._gpu_is_full:
+                raise
+            self._leave_gpu(error)
+            return self.last_textures
+
+    def _draw(self, width: int, height: int) -> list[moderngl.Texture]:
+        session = self.session
+        if self._cpu is not None and self._cpu.has_failed:
+            self._cpu, self._gpu_is_full = None, False
+        self._on_cpu = self._cpu is not None and self._cpu.is_ready  # once a frame: it may become so at any moment
+        if session.view.harmonics != self._opengl.arrays.harmonics:
+            self._opengl.arrays.keep_harmonics_as(session.view.harmonics)
+            self._upload.give_up()
+            self._staged = None  # its upload begins anew
+        self._is_uploading, self._upload_until = False, time.perf_counter() + _UPLOAD_S
+        self._prepare_staged()
+        sides = session.sides
+        for shown in self._sides[: -len(sides)]:
+            shown.forget()
+        self._let_go_of_closed_scene()
+        detail = self._choose_detail(session.shot(width, height))
+        if session.screenshot is not None:
+            detail = EXACT
+        shot = self._shot(width, height, detail)
+        raining = session.shown_rainfall.can_rain
+        if session.sky_is_stale and raining and self._can_draw:
+            self._look_at_sky(shot)
+        if session.sky_pick is not None and self._can_draw:
+            self._pick_sky(shot, session.sky_pick)
+        # The last side, on the right, is the document itself: statistics are those of its picture.
+        started, has_drawn = time.perf_counter(), False
+        for side, shown in zip(sides, self._sides[-len(sides) :], strict=True):
+            has_drawn = self._show(side, shown, shot, detail)
+        if self._cpu is not None and (has_drawn or not self._can_draw) and session.scene.gaussian_count:
+            self._cpu.compile()  # after the first picture, which compiling would hold up
+        session.is_compiling = not self._can_draw
+        if has_drawn:
+            self._tell(1000 * (time.perf_counter() - started), detail)
+        textures = [shown.texture for shown in self._sides[-len(sides) :]]
+        self._save_screenshot(textures)
+        return textures
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the back end that draws is the one that will go on drawing."""
+        return self._cpu is None or self._cpu.is_ready
+
+    @property
+    def is_catching_up(self) -> bool:
+        """Whether the next frames go on with what this one has begun, though nothing moves."""
+        session = self.session
+        looks = session.sky_is_stale and session.shown_rainfall.can_rain and self._can_draw and not self._sky.is_through
+        return self._is_uploading or looks
+
+    @property
+    def last_textures(self) -> list[moderngl.Texture]:
+        """The last pictures, of as many sides as there are."""
+        return [shown.texture for shown in self._sides[-len(self.session.sides) :]]
+
+    def draw_aside(self, scene: Scene, shot: Shot, screen: Screen) -> moderngl.Texture | None:
+        """Draw a small picture beside the viewport's, in its rain, after `draw`; None while nothing can be drawn.
+
+        While time goes on it is drawn from a quarter of the Gaussians, or from fewer where the viewport has fewer.
+        """
+        session = self.session
+        if not self._can_draw or (not self._on_cpu and self._upload.missing(scene) > _AT_ONCE):
+            return None
+        share = min(session.detail.gaussians, _ASIDE) if session.clock.playing else 1.0
+        thinning = self._thinning(Detail(share, 1.0))
+        draw_shot(self._renderer, scene, session.shown_rainfall, session.sky, shot, thinning=thinning)
+        picture = self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture
+        return screen.show(picture, session.view.background, 2.0**session.view.gain_ev)
+
+    @property
+    def _can_draw(self) -> bool:
+        is_final = self._cpu is None or self._on_cpu
+        stands_in = not (self._waits or self._gpu_is_full)
+        return is_final or (stands_in and self.session.scene.gaussian_count <= _STAND_IN_GAUSSIANS)
+
+    @property
+    def _waits(self) -> bool:
+        """Whether the processor will draw as soon as it has loaded its kernels."""
+        return self._cpu is not None and time.perf_counter() < self._waits_until
+
+    @property
+    def _renderer(self) -> Renderer:
+        return self._cpu.renderer if self._cpu is not None and self._on_cpu else self._opengl
+
+    def _let_go_of_closed_scene(self) -> None:
+        """Free what an empty scene has left here of the one before, once."""
+        session = self.session
+        is_empty = not session.scene.members and session.staged is None
+        if is_empty and not self._is_empty:
+            self._sky.forget()
+            self._thinnings.clear()
+            self._thinned = session.scene
+            self._upload.give_up()
+            self._opengl.arrays.release_everything()
+        self._is_empty = is_empty
+
+    def _leave_gpu(self, error: MemoryError) -> None:
+        """Let the processor draw from now on, and free what the scene has on the graphics card."""
+        self._gpu_is_full = True
+        self._cpu = self._cpu or CpuPicture(self._context)
+        self._cpu.compile()
+        self._upload.give_up()
+        self._opengl.arrays.release_everything()
+        self.session.problem = f"{error}: the processor draws from now on"
+        logger.warning("%s", self.session.problem)
+
+    def _choose_detail(self, now: Shot) -> Detail:
+        """Ask the budget, which wants to know whether the camera has moved."""
+        session, before, at = self.session, self._moment, time.perf_counter()
+        self._is_moving = before is not None and (
+            now.camera.world_to_camera.tobytes() != before.camera.world_to_camera.tobytes()
+            or now.camera.fx != before.camera.fx
+        )
+        resized = before is not None and now.camera.height != before.camera.height
+        self._moment, real_s, self._asked_at = now, at - self._asked_at, at
+        return session.budget.observe(moving=self._is_moving and not resized, real_s=real_s)
+
+    def _shot(self, width: int, height: int, detail: Detail) -> Shot:
+        scale = detail.scale / self.session.view.shrink
+        drawn_height = max(1, round(height * scale))
+        return self.session.shot(max(1, round(width * scale)), drawn_height, height / drawn_height)
+
+    def _look_at_sky(self, shot: Shot) -> None:
+        session = self.session
+        resting = not (self._is_moving or session.clock.playing)
+        at_once = session.screenshot is not None
+        sky = self._sky.look(self._renderer, session.scene, shot.camera, resting=resting, at_once=at_once)
+        if sky is not None:
+            session.sky_seen = sky
+        session.sky_is_stale = not self._sky.is_exact
+
+    def _pick_sky(self, shot: Shot, pick: SkyPick) -> None:
+        session = self.session
+        session.sky_pick = None
+        background, wetness = session.view.background, session.rainfall.wetness_at(shot.time_s)
+        color = color_there(self._renderer, session.scene, shot, pick, background, wetness)
+        session.change_rain("Pick drop colour", drop_color=color)
+
+    def _show(self, side: Side, shown: "_SidePicture", shot: Shot, detail: Detail) -> bool:
+        """Draw a side unless it shows just that already."""
+        session = self.session
+        side = side._replace(scene=self._drawable(side.scene, shown))
+        state = (_fingerprint(session, side, shot), detail.gaussians, self._on_cpu)
+        if state == shown.state or not self._can_draw:
+            return False
+        renderer, view = self._renderer, session.view
+        draw_shot(
+            renderer,
+            side.scene,
+            side.rainfall if side.scene.members else None,  # nothing is there yet for it to fall on
+            session.sky,
+            shot,
+            look=view.look,
+            thinning=self._thinning(detail),
+            selection=view.show_selection and session.screenshot is None,
+        )
+        picture = self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture
+        shown.texture = shown.screen.show(picture, view.background, 2.0**view.gain_ev)
+        shown.state, shown.scene = state, side.scene
+        return True
+
+    def _drawable(self, scene: Scene, shown: "_SidePicture") -> Scene:
+        """The scene; or the one shown last, while much of the new one has yet to come to the GPU."""
+        if self._on_cpu or not self._can_draw or shown.scene is None or self.session.screenshot is not None:
+            return scene
+        if self._upload.missing(scene) <= _AT_ONCE or self._upload.missing(shown.scene):
+            return scene
+        if self._upload.go_on(scene, self._upload_until):
+            return scene
+        self._is_uploading = True
+        return shown.scene
+
+    def _thinning(self, detail: Detail) -> Thinning | None:
+        if detail.gaussians == 1:
+            return None
+        if self._thinned is not self.session.scene:
+            self._thinned = self.session.scene
+            for thinning in self._thinnings.values():
+                thinning.forget_all_but(member.gaussians for member in self._thinned.members)
+        return self._thinnings.setdefault(detail.gaussians, Thinning(detail.gaussians))
+
+    def _tell(self, milliseconds: float, detail: Detail) -> None:
+        session, statistics = self.session, self._renderer.statistics
+        session.budget.measured(detail, milliseconds)
+        session.detail = detail
+        session.backend = self._renderer.name
+        session.statistics = {
+            "frame ms": milliseconds,
+            "megapixels": self._megapixels,
+            **{f"{stage} ms": value for stage, value in statistics.stages_ms.items()},
+            "Gaussians": statistics.gaussians,
+            "splats drawn": statistics.splats_drawn,
+            "drops drawn": statistics.drops_drawn,
+            "haze Gaussians": statistics.haze_drawn,
+        }
+
+    @property
+    def _megapixels(self) -> float:
+        return 0.0 if self._moment is None else 1e-6 * self._moment.camera.width * self._moment.camera.height
+
+    def _prepare_staged(self) -> None:
+        """Go on with what a staged scene needs before its first frame; when all is done, swap it in."""
+        session = self.session
+        if session.staged is not self._staged:
+            self._upload.give_up()
+            self._staged = session.staged
+            self._preparing = self._preparations(self._staged.scene) if self._staged is not None else iter(())
+        while self._staged is not None:
+            if next(self._preparing, self) is self:
+                session.swap_in()
+                if session.staged is self._staged:  # held back by a question
+                    break
+                is_opened, self._staged = self._staged.is_opened, None
+                if is_opened:
+                    self._sky.forget()
+                    self._opengl.arrays.release_all_but((each.gaussians, each.wet_sh) for each in session.scene.members)
+            elif time.perf_counter() >= self._upload_until:
+                break
+
+    def _preparations(self, scene: Scene) -> Iterator[None]:
+        for member in scene.members:
+            for thinning in self._thinnings.values():
+                thinning.growth(member.gaussians)
+                yield
+        too_large = self._cpu is not None and scene.gaussian_count > _STAND_IN_GAUSSIANS
+        if not (self._on_cpu or self._waits or self._gpu_is_full or too_large):
+            while not self._upload.go_on(scene, self._upload_until):
+                yield
+
+    def _save_screenshot(self, textures: list[moderngl.Texture]) -> None:
+        path, self.session.screenshot = self.session.screenshot, None
+        if path is None:
+            return
+        pictures = [
+            np.frombuffer(texture.read(), np.uint8).reshape(texture.height, texture.width, 4)[..., :3]
+            for texture in textures
+        ]
+        check_context(self._context)
+        pixels = pictures[-1].copy()
+        if len(pictures) == 2:
+            at = round(self.session.view.divider * pixels.shape[1])
+            pixels[:, :at] = pictures[0][:, :at]
+        try:
+            write_picture(path, pixels)
+        except OSError as error:
+            self.session.problem = f"{path}: the screenshot can't be saved: {error.strerror or error}"
+            logger.error("%s", self.session.problem)
+        else:
+            logger.info("Saved %s", path)
+
+
+class _SidePicture:
+    """What stands on one side, and what it was drawn from."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self.screen = Screen(context)
+        self.texture = context.texture((1, 1), 4, np.zeros(4, np.uint8))
+        self.state: Hashable = None
+        self.scene: Scene | None = None
+
+    def forget(self) -> None:
+        """Hold no scene: nobody looks at it."""
+        self.state = self.scene = None
+
+
+class _Seen(NamedTuple):
+    """Everything that a picture depends on; scenes and rains are values and compare by identity."""
+
+    scene: Hashable
+    rainfall: Hashable
+    sky: Hashable
+    time_s: float
+    camera: Hashable
+    velocity: bytes
+    view: Hashable
+    wetness: float
+
+
+def _fingerprint(session: Session, side: Side, shot: Shot) -> _Seen:
+    camera, view = shot.camera, session.view
+    raining = view.look == "splats" and side.rainfall.state_at(shot.time_s).intensity_mm_h > 0
+    velocity = b"" if shot.velocity_m_s is None or not raining else shot.velocity_m_s.tobytes()
+    return _Seen(
+        side.scene.appearance,
+        side.rainfall if raining else None,
+        session.sky if raining else None,
+        shot.time_s if raining or side.scene.actors else 0.0,
+        (camera.world_to_camera.tobytes(), camera.width, camera.height, camera.fx),
+        velocity,
+        (view.background, view.gain_ev, view.look, view.harmonics, view.show_selection),
+        side.rainfall.wetness_at(shot.time_s) if side.scene.has_wet_colors else 0.0,
+    )
+
+
+# § Draws the rig's cameras small, one a frame in turn. Lives in the window's OpenGL context and on its thread.
+
+
+class MosaicPictures:
+    """Keeps a picture of each camera, and goes on with the one that has waited longest."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._screens: dict[str, Screen] = {}
+        self._states: dict[str, Hashable] = {}
+        self._turn: list[str] = []
+        """Names of the cameras, the one that was drawn last at the end."""
+
+    def update(self, session: Session, view: LiveView) -> None:
+        """Draw one camera that is out of date, if the mosaic is to be seen. Once a frame, after the viewport."""
+        mosaic = session.drives.mosaic
+        wanted, mosaic.is_wanted, mosaic.is_behind = mosaic.is_wanted, False, False
+        scene = session.drives.rig_scene(session)
+        if not wanted or scene.ego is None:
+            return
+        cameras = {each.name: each for each in mosaic.cameras(scene)}
+        self._keep_only(cameras)
+        mosaic.pictures = {name: each for name, each in mosaic.pictures.items() if name in cameras}
+        stale = [name for name in self._turn if self._states.get(name) != _state(session, scene, cameras[name])]
+        if not stale:
+            return
+        name = stale[0]
+        picture = self._draw(session, view, scene, cameras[name])
+        if picture is not None:
+            mosaic.pictures[name] = picture
+            self._states[name] = _state(session, scene, cameras[name])
+        self._turn = [each for each in self._turn if each != name] + [name]
+        mosaic.is_behind = len(stale) > 1 or picture is None
+
+    def _keep_only(self, cameras: dict[str, RigCamera]) -> None:
+        self._turn = [name for name in self._turn if name in cameras]
+        self._turn += [name for name in cameras if name not in self._turn]
+        self._screens = {name: screen for name, screen in self._screens.items() if name in cameras}
+        self._states = {name: state for name, state in self._states.items() if name in cameras}
+
+    def _draw(self, session: Session, view: LiveView, scene: Scene, mounted: RigCamera) -> Texture | None:
+        time_s = session.clock.time_s
+        pose = scene.ego_to_world(time_s)
+        if pose is None:
+            return None
+        small = of_width(mounted, session.drives.mosaic.width_px)
+        shot = Shot(placed_camera(small, pose), time_s, _velocity(scene, time_s), mounted.fx)
+        screen = self._screens.setdefault(mounted.name, Screen(self._context))
+        texture = view.draw_aside(scene, shot, screen)
+        return None if texture is None else Texture(texture.glo, texture.width, texture.height)
+
+
+_STEP_S = 0.05
+
+
+def _velocity(scene: Scene, time_s: float) -> np.ndarray | None:
+    """Of the ego vehicle in the world, m/s, over the tenth of a second around a moment."""
+    before, after = scene.ego_to_world(time_s - _STEP_S), scene.ego_to_world(time_s + _STEP_S)
+    return None if before is None or after is None else (after[:3, 3] - before[:3, 3]) / (2 * _STEP_S)
+
+
+def _state(session: Session, scene: Scene, camera: RigCamera) -> Hashable:
+    return (
+        scene.appearance,
+        session.shown_rainfall,
+        session.sky,
+        session.clock.time_s,
+        session.drives.mosaic.width_px,
+        camera,
+        session.clock.playing,
+        session.view.gain_ev,
+    )

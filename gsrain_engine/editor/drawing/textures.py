@@ -1,0 +1,247 @@
+"""A capture's pictures and points on the GPU. Lives in the window's OpenGL context and on its thread."""
+
+import logging
+import threading
+from typing import get_args
+
+import moderngl
+import numpy as np
+from jaxtyping import UInt8
+
+from ...compile_cache import mark_kernels
+from ...rain.settings import Rain
+from ...rain.simulation import Rainfall, View
+from ...render.cpu.projection import FEW
+from ...render.cpu.renderer import CpuRenderer
+from ...render.opengl.shaders import load_program
+from ...render.renderer import Look
+from ...scene.camera import Camera
+from ...scene.gaussians import Gaussians
+from ...scene.lod_order import put_into_drawing_order
+from ...scene.scene import Part
+from ..capture_view import ShownPoints, Wish
+from ..editor import Session
+from ..jobs.job import BackgroundJob
+from ..services import Desk
+from ..viewport.options import Texture
+
+_NEAR_M = 0.05
+
+_POINT_PX = 3.0
+
+_A_FRAME = 4
+"""Pictures that are brought to the GPU in one frame."""
+
+
+class CaptureTextures:
+    """Follows the session's open capture."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._pictures: dict[Wish, tuple[UInt8[np.ndarray, "h w 3"], moderngl.Texture]] = {}
+        self._program: moderngl.Program | None = None
+        self._points: tuple[ShownPoints, moderngl.VertexArray, list[moderngl.Buffer]] | None = None
+        self._target: moderngl.Framebuffer | None = None
+        self._drawn: tuple[object, ...] | None = None
+        self._matching = KeptTexture(context)
+
+    def update(self, session: Session) -> None:
+        """Bring new pictures to the GPU, release old ones, and tell the session. Once a frame."""
+        there = {} if session.captures.pictures is None else dict(session.captures.pictures)
+        for wish in [each for each, (pixels, _) in self._pictures.items() if there.get(each) is not pixels]:
+            self._pictures.pop(wish)[1].release()
+        for wish in [each for each in there if each not in self._pictures][:_A_FRAME]:
+            pixels = there[wish]
+            size = pixels.shape[1], pixels.shape[0]
+            texture = self._context.texture(size, 3, np.ascontiguousarray(pixels), alignment=1)
+            self._pictures[wish] = pixels, texture
+        session.captures.textures = {
+            wish: Texture(texture.glo, texture.width, texture.height) for wish, (_, texture) in self._pictures.items()
+        }
+        session.matching.texture = self._matching.show(session.matching.picture)
+
+    def draw_points(self, session: Session, camera: Camera) -> None:
+        """Draw the points as a camera of the viewport's size sees them, over nothing, and tell the session."""
+        captures = session.captures
+        captures.points_texture = None
+        if captures.points is None or not captures.show_points:
+            return
+        matrix = camera.world_to_camera @ captures.to_world(session.scene)
+        state = captures.points, matrix.tobytes(), camera.width, camera.height, camera.fx, camera.cx, camera.cy
+        target = self._target_of(camera.width, camera.height)
+        if state != self._drawn:
+            self._draw(captures.points, matrix, camera, target)
+            self._drawn = state
+        texture = target.color_attachments[0]
+        captures.points_texture = Texture(texture.glo, camera.width, camera.height)
+
+    def _draw(self, points: ShownPoints, matrix: np.ndarray, camera: Camera, target: moderngl.Framebuffer) -> None:
+        vertices, program = self._vertices_of(points)
+        program["capture_to_camera"] = tuple(matrix.T.ravel().tolist())  # columns first
+        program["focal_px"], program["center_px"] = (camera.fx, camera.fy), (camera.cx, camera.cy)
+        program["image_size"] = (camera.width, camera.height)
+        program["near_m"], program["size_px"] = _NEAR_M, _POINT_PX
+        window = self._context.detect_framebuffer()
+        target.use()
+        target.clear(0.0, 0.0, 0.0, 0.0)
+        self._context.enable(moderngl.DEPTH_TEST | moderngl.PROGRAM_POINT_SIZE)
+        vertices.render(moderngl.POINTS)
+        self._context.disable(moderngl.DEPTH_TEST | moderngl.PROGRAM_POINT_SIZE)
+        window.use()
+
+    def _vertices_of(self, points: ShownPoints) -> tuple[moderngl.VertexArray, moderngl.Program]:
+        if self._program is None:
+            self._program = load_program(self._context, "capture_points.vert", "capture_points.frag")
+        if self._points is None or self._points[0] is not points:
+            if self._points is not None:
+                for old in (self._points[1], *self._points[2]):
+                    old.release()
+            buffers = [self._context.buffer(np.ascontiguousarray(each)) for each in (points.positions, points.colors)]
+            content = [(buffers[0], "3f", "position"), (buffers[1], "3f1", "color")]
+            self._points = points, self._context.vertex_array(self._program, content), buffers
+        return self._points[1], self._program
+
+    def _target_of(self, width: int, height: int) -> moderngl.Framebuffer:
+        if self._target is None or self._target.size != (width, height):
+            if self._target is not None:
+                for old in (*self._target.color_attachments, self._target.depth_attachment, self._target):
+                    old.release()
+            color = self._context.texture((width, height), 4)
+            depth = self._context.depth_renderbuffer((width, height))
+            self._target, self._drawn = self._context.framebuffer([color], depth), None
+        return self._target
+
+
+# § The jobs' newest preview pictures as textures. Lives in the window's OpenGL context and on its thread.
+
+
+class JobPreviews:
+    """Keeps one texture for each job that shows something, as long as it runs."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._kept: dict[BackgroundJob, KeptTexture] = {}
+
+    def update(self, session: Desk) -> None:
+        """Bring what is new to the GPU and tell the session. Once a frame."""
+        for job in [each for each in self._kept if each.state != "running"]:
+            self._kept.pop(job).show(None)
+        for job in session.running_jobs:
+            if job.progress.preview is not None:
+                self._kept.setdefault(job, KeptTexture(self._context)).show(job.progress.preview)
+        session.previews = {job: texture for job, kept in self._kept.items() if (texture := kept.texture) is not None}
+
+
+# § A picture that stays on the GPU until another one takes its place. Lives in the window's OpenGL context.
+
+Pixels = UInt8[np.ndarray, "h w c"]
+"""Display colour, with or without alpha; first row on top."""
+
+
+class KeptTexture:
+    """One texture, written only when the picture is another one."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._pixels: Pixels | None = None
+        self._texture: moderngl.Texture | None = None
+
+    def show(self, pixels: Pixels | None) -> Texture | None:
+        """Bring a picture to the GPU; None frees what is there."""
+        if pixels is not self._pixels:
+            self._pixels = pixels
+            self._bring(pixels)
+        return self.texture
+
+    @property
+    def texture(self) -> Texture | None:
+        kept = self._texture
+        return None if kept is None else Texture(kept.glo, kept.width, kept.height)
+
+    def _bring(self, pixels: Pixels | None) -> None:
+        old = self._texture
+        if old is not None and (pixels is None or (old.height, old.width, old.components) != pixels.shape):
+            old.release()
+            self._texture = None
+        if pixels is None:
+            return
+        if self._texture is None:
+            height, width, channels = pixels.shape
+            self._texture = self._context.texture((width, height), channels, alignment=1)
+        self._texture.write(np.ascontiguousarray(pixels), alignment=1)
+
+
+# § The processor's pictures as textures, once its kernels are compiled; compiling happens in the background.
+
+logger = logging.getLogger("gsrain")
+
+
+class CpuPicture:
+    """A CPU renderer and the texture its pictures go to."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self.renderer = CpuRenderer()
+        self._context = context
+        self._texture: moderngl.Texture | None = None
+        self._compiled = threading.Event()
+        self._is_compiling = False
+        self.has_failed = False
+        """Whether the kernels can't be compiled, so that it will never be ready."""
+
+    def compile(self) -> None:
+        """Begin to compile the kernels, or to load them, in the background; once."""
+        if not self._is_compiling:
+            self._is_compiling = True
+            threading.Thread(target=self._compile, name="compile kernels", daemon=True).start()
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether drawing will not have to wait for a compiler."""
+        return self._compiled.is_set()
+
+    def upload(self) -> moderngl.Texture:
+        """Bring the renderer's last picture into a texture."""
+        rgba = self.renderer.read().rgba
+        size = (rgba.shape[1], rgba.shape[0])
+        if self._texture is None or self._texture.size != size:
+            if self._texture is not None:
+                self._texture.release()
+            self._texture = self._context.texture(size, 4, dtype="f4")
+            self._texture.filter = moderngl.NEAREST, moderngl.NEAREST
+        self._texture.write(np.ascontiguousarray(rgba))
+        return self._texture
+
+    def _compile(self) -> None:
+        try:
+            compile_kernels()
+        except Exception:  # OpenGL goes on drawing, slower: the window must not end over this
+            self.has_failed = True
+            logger.exception("The processor's kernels can't be compiled; OpenGL draws instead")
+        else:
+            self._compiled.set()
+
+
+def compile_kernels() -> None:
+    """Draw one Gaussian, and many, in every way there is, so that each kernel is compiled (or read from the cache)."""
+    one = _balls(1)
+    camera = Camera(32, 32, 32.0, 32.0, 16.0, 16.0)
+    renderer, parts = CpuRenderer(), [Part(one, np.eye(4))]
+    for degree in (1, 4, 9, 16):
+        renderer.draw([Part(one.with_sh(np.zeros((1, degree, 3), np.float32)), np.eye(4))], camera, with_depth=True)
+    renderer.draw([Part(_balls(FEW), np.eye(4))], camera)
+    view = View(camera, np.eye(4), np.zeros(3))
+    for mixing in ("linear", "display"):
+        rain = Rain(intensity_mm_h=1.0, rain_light=mixing)
+        renderer.draw(parts, camera, Rainfall.start(rain).at(0.0, view))
+    put_into_drawing_order(one)
+    for look in get_args(Look):
+        renderer.draw(parts, camera, look=look)
+    mark_kernels()
+
+
+def _balls(count: int) -> Gaussians:
+    """Gaussians in front of a camera at the origin, all in one place."""
+    means, quaternions = np.zeros((count, 3), np.float32), np.zeros((count, 4), np.float32)
+    means[:, 2], quaternions[:, 0] = 2, 1
+    scales, opacities = np.full((count, 3), 0.1, np.float32), np.ones(count, np.float32)
+    return Gaussians(means, scales, quaternions, opacities, np.zeros((count, 1, 3), np.float32))

@@ -1,0 +1,387 @@
+"""Driving in a session: what is wished for, the roll-outs that are open, and the one that plays."""
+
+import logging
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from ..rain.simulation import Rainfall
+from ..scene.scene import Scene
+from ..simulation.agents.registry import agent_names
+from ..simulation.rollout import RolloutStep
+from ..simulation.rollout_io import write_rollout
+from ..simulation.scenario import Scenario, ScenarioUser
+from ..simulation.scenario_io import load_scenario, save_scenario, scenario_names
+from .autosave import saved_scene
+from .drive_playback import ShownRollout
+from .files import SceneFiles
+from .jobs.drive import DriveFilmJob, DriveJob, DriveWishes, OpenedRollout, Reading, open_rollout
+from .notifications import told
+from .overlays_drive import Mosaic
+from .services import Desk
+from .viewport.camera_follow import Chase, ChaseMode
+
+logger = logging.getLogger("gsrain")
+
+_FILM_FPS = (1.0, 60.0)
+
+_MOST = 12
+"""So many roll-outs stay open; the oldest makes room."""
+
+
+class Drives:
+    """All about driving of one session. Only the main thread touches it; `poll` once a frame."""
+
+    def __init__(self, scene_files: SceneFiles, chase: Chase, files: ThreadPoolExecutor) -> None:
+        """Read and write files in a thread; `chase` is the camera that may go along."""
+        self._scene_files, self._files = scene_files, files
+        self.wanted = WantedDrive()
+        self.opened: list[OpenedRollout] = []
+        self.playing: OpenedRollout | None = None
+        """The one that the viewport shows."""
+        self.trouble: str | None = None
+        """Why the viewport can't show it."""
+        self.chase, self.mosaic = chase, Mosaic()
+        self.show_ego_car, self.show_boxes, self.show_plan = True, True, True
+        self.rain_as_driven = True
+        """Whether the viewport has the rain of the drive, else that of the scene."""
+        self._shown: ShownRollout | None = None
+        self._rainfall: Rainfall | None = None
+        self._kept_span: tuple[float, float] | None = None
+        self._reading: list[tuple[str, Reading]] = []
+        self._writing: list[tuple[OpenedRollout, Path, Future[None]]] = []
+        self._placing: tuple[OpenedRollout, Future[ShownRollout]] | None = None
+        """What will play as soon as everybody is in place."""
+
+    # Driving
+
+    def newest_job(self, session: Desk) -> tuple[int, DriveJob] | None:
+        """The last drive that was started, with its number among the jobs."""
+        jobs = [(number, job) for number, job in enumerate(session.jobs) if isinstance(job, DriveJob)]
+        return jobs[-1] if jobs else None
+
+    def why_not(self, session: Desk) -> str | None:
+        """Why no drive can start now; None where it can."""
+        if any(isinstance(job, DriveJob) for job in session.running_jobs):
+            return "A drive goes on."
+        if session.scene.ego is None:
+            return (
+                "This scene has no recorded drive, and so no route to take: let the ego drive along a camera path "
+                "(Drive menu), or open one that has, such as the street."
+            )
+        return self.wanted.why_not
+
+    def start(self, session: Desk) -> None:
+        why_not = self.why_not(session)
+        if why_not is not None:
+            session.problem = why_not
+            return
+        wanted = self.wanted
+        rains = wanted.wishes.rains(session.rain_now)
+        job = DriveJob(
+            saved_scene(session), wanted.scenario, wanted.wishes, rains, self._files, self._scene_files.known,
+            lambda reading: self._reading.append((wanted.scenario.name, reading)),
+        )  # fmt: skip
+        session.start(job)
+
+    # Files
+
+    def open(self, path: Path) -> None:
+        """Read a roll-out in the background and play it."""
+        self._reading.append((path.name, self._files.submit(lambda: [open_rollout(path)])))
+
+    def save_as(self, session: Desk, path: Path) -> None:
+        """Write the one that plays, in the background; what is there already is only replaced when a person says so."""
+        if self.playing is None:
+            return
+        path, playing = path if path.suffix else path.with_suffix(".jsonl"), self.playing
+
+        def write() -> None:
+            self._writing.append((playing, path, self._files.submit(write_rollout, path, playing.rollout)))
+
+        session.questions.before_replacing([path], write)
+
+    def why_no_film(self, session: Desk) -> str | None:
+        """Why the one that plays can't be filmed now; None where it can."""
+        if self.playing is None or self._shown_in(session.scene) is None:
+            return "No roll-out plays: drive, or open one, in the Drive panel."
+        if not session.scene.rigs:
+            return "This scene has no rig whose front camera could film the drive."
+        if any(isinstance(job, DriveFilmJob) for job in session.running_jobs):
+            return "A film is being made."
+        return None
+
+    def film_to(self, session: Desk, path: Path) -> None:
+        """Film the one that plays, in the background; what is there already is only replaced when a person says so."""
+        if self.playing is None:
+            return
+        path, rollout = path if path.suffix else path.with_suffix(".mp4"), self.playing.rollout
+
+        def begin() -> None:
+            fps = min(max(session.timeline.fps, _FILM_FPS[0]), _FILM_FPS[1])
+            scene, known = saved_scene(session), self._scene_files.known
+            session.start(DriveFilmJob(scene, rollout, path, fps, self._files, known))
+
+        session.questions.before_replacing([path], begin)
+
+    @property
+    def is_working(self) -> bool:
+        """Whether a roll-out is being read or written."""
+        return bool(self._reading or self._writing or self._placing)
+
+    @property
+    def pending(self) -> list[Future[Any]]:
+        """What is being read and written, to wait for where there are no frames to wait with."""
+        placing = [] if self._placing is None else [self._placing[1]]
+        return [*[each[1] for each in self._reading], *[each[2] for each in self._writing], *placing]
+
+    def poll(self, session: Desk) -> None:
+        """Take in what was read, say what was written, go along with the drive; never waits."""
+        for name, reading in [each for each in self._reading if each[1].done()]:
+            self._reading.remove((name, reading))
+            self._take(session, name, reading)
+        for opened, path, writing in [each for each in self._writing if each[2].done()]:
+            self._writing.remove((opened, path, writing))
+            self._written(session, opened, path, writing)
+        if self._placing is not None and self._placing[1].done():
+            (opened, placing), self._placing = self._placing, None
+            self._begin(session, opened, placing)
+        shown = self._shown_in(session.scene)
+        if shown is not None:
+            self.chase.ride(shown.vehicle(session.clock.time_s), session.navigation)
+
+    # What plays
+
+    def play(self, session: Desk, opened: OpenedRollout) -> None:
+        """Show a roll-out from its beginning, in place of the scene's own traffic; the document stays as it is.
+
+        It comes in a later frame: looking for the ground of a scene takes a moment.
+        """
+        self._placing = opened, self._files.submit(ShownRollout, opened.rollout, session.scene)
+
+    def follow(self, session: Desk, mode: ChaseMode) -> None:
+        """Let the camera go along in a way."""
+        session.view.follow_path = False
+        session.following.follow("")
+        self.chase.begin(mode)
+
+    def seek(self, session: Desk, time_s: float) -> None:
+        """Go to a moment of the roll-out that plays, in seconds since its scenario began."""
+        shown = self._shown_in(session.scene)
+        session.clock.seek(time_s + (shown.start_s if shown is not None else 0.0))
+
+    def jump(self, session: Desk, time_s: float) -> None:
+        """Stop at a moment of the roll-out that plays."""
+        session.clock.playing = False
+        self.seek(session, time_s)
+
+    def close(self, session: Desk, opened: OpenedRollout) -> None:
+        """Close a roll-out; the scene comes back with the last one that plays."""
+        self.opened = [each for each in self.opened if each is not opened]
+        if opened is self.playing:
+            self._stop(session)
+            if self.opened:
+                self.play(session, self.opened[-1])
+
+    def close_all(self, session: Desk) -> None:
+        """Close all of them; the scene comes back."""
+        self.opened, self._placing = [], None
+        if self.playing is not None:
+            self._stop(session)
+
+    # What the viewport asks
+
+    def shown_in(self, session: Desk) -> ShownRollout | None:
+        """The roll-out that plays, in the scene as it is; None where none plays or where it does not belong there."""
+        return self._shown_in(session.scene)
+
+    def scene_in_place_of(self, scene: Scene) -> Scene:
+        """The scene with the road users of the roll-out that plays; the same where none does."""
+        shown = self._shown_in(scene)
+        if shown is None:
+            return scene
+        return shown.scene(scene, with_ego=self.show_ego_car and self.chase.mode != "front camera")
+
+    def rig_scene(self, session: Desk) -> Scene:
+        """What the cameras of the rig see: not the body of their own vehicle."""
+        shown = self._shown_in(session.scene)
+        return session.scene if shown is None else shown.scene(session.scene, with_ego=False)
+
+    def rainfall(self, *, roofs: bool) -> Rainfall | None:
+        """Rain of the roll-out that plays, under roofs where they are known; None for that of the document."""
+        if self._shown is None or not self.rain_as_driven:
+            return None
+        rain = self._shown.scenario.rain
+        if not roofs and rain.roofs:
+            rain = msgspec.structs.replace(rain, roofs=False)
+        if self._rainfall is None or self._rainfall.rain != rain:
+            self._rainfall = Rainfall.start(rain)
+        return self._rainfall
+
+    def span_s(self) -> tuple[float, float] | None:
+        """From when to when the roll-out plays, in the scene's time."""
+        return None if self._shown is None else self._shown.span_s
+
+    def step_now(self, session: Desk) -> RolloutStep | None:
+        """The step of the roll-out that plays at the present time."""
+        shown = self._shown_in(session.scene)
+        return None if shown is None else shown.played.step(shown.own_time_s(session.clock.time_s))
+
+    def _shown_in(self, scene: Scene) -> ShownRollout | None:
+        """The one that plays; put into place anew where a person has changed the scene's actors or its units."""
+        if self.playing is not None and self._shown is not None and not self._shown.fits(scene):
+            try:
+                self._shown = self._shown.placed_in(scene)
+            except ValueError as error:
+                self._shown, self.trouble = None, _not_here(error)
+        return self._shown
+
+    def _begin(self, session: Desk, opened: OpenedRollout, placing: "Future[ShownRollout]") -> None:
+        if not any(each is opened for each in self.opened):
+            return  # closed meanwhile
+        was_playing = self.playing is not None
+        self.playing, self.trouble, self._shown, self._rainfall = opened, None, None, None
+        if not was_playing:
+            self._kept_span = session.clock.span_s
+        session.clock.span_s = None
+        session.timeline.is_fitted = False
+        try:
+            self._shown = placing.result()
+        except ValueError as error:
+            session.problem = self.trouble = _not_here(error)
+            return
+        session.view.follow_path = False
+        self.mosaic.rig = self._shown.scenario.rig or self.mosaic.rig
+        session.clock.seek(self._shown.start_s)
+        if not was_playing:
+            self.chase.begin("behind")
+
+    def _stop(self, session: Desk) -> None:
+        self.playing = self.trouble = self._shown = self._rainfall = self._placing = None
+        self.chase.begin("free")
+        session.clock.span_s, self._kept_span = self._kept_span, None
+        session.timeline.is_fitted = False
+
+    def _take(self, session: Desk, name: str, reading: Reading) -> None:
+        try:
+            found = reading.result()
+        except Exception as error:  # whatever a disk or a file can do
+            session.problem = told(f"{name} can't be opened", error)
+            return
+        self.opened = [*self.opened, *found][-_MOST:]
+        self.play(session, found[-1])
+        for each in found:
+            logger.info("Opened a roll-out: %s: %s after %.2f s", each.title, each.rollout.end, each.duration_s)
+
+    def _written(self, session: Desk, opened: OpenedRollout, path: Path, writing: "Future[None]") -> None:
+        try:
+            writing.result()
+        except Exception as error:  # whatever a disk can do
+            session.problem = told(f"{path} can't be written", error)
+            return
+        logger.info("Saved the roll-out %s", path)
+        saved = opened.saved_at(path)
+        self.opened = [saved if each is opened else each for each in self.opened]
+        if self.playing is opened:
+            self.playing = saved
+
+
+def _not_here(error: ValueError) -> str:
+    return f"The view can't show the roll-out: {error}"
+
+
+# § The drive that a person prepares: a scenario that can be changed, who drives it, in which rain.
+
+_FIRST = "stationary-lead"
+
+_DRIVERS = ("oracle-idm", "constant-velocity")
+"""Who is taken first, of those that there are."""
+
+
+class WantedDrive:
+    """What the next drive will be."""
+
+    def __init__(self) -> None:
+        self.problem: str | None = None
+        """What went wrong with a scenario's file last."""
+        self.source = _FIRST
+        """Name of the shipped scenario, or path of the file, that it was read from."""
+        self.is_changed = False
+        """Whether the scenario differs from what was read."""
+
+    @cached_property
+    def scenario_names(self) -> list[str]:
+        return scenario_names()
+
+    @cached_property
+    def agent_names(self) -> list[str]:
+        """Everybody who can drive; looking for installed ones takes too long for each frame."""
+        return agent_names()
+
+    @property
+    def scenario(self) -> Scenario:
+        return self._scenario
+
+    @property
+    def wishes(self) -> DriveWishes:
+        return self._wishes
+
+    @wishes.setter
+    def wishes(self, wishes: DriveWishes) -> None:
+        self._wishes = wishes
+
+    @cached_property
+    def _scenario(self) -> Scenario:
+        return load_scenario(_FIRST)
+
+    @cached_property
+    def _wishes(self) -> DriveWishes:
+        there = self.agent_names
+        return DriveWishes(agent=next((name for name in _DRIVERS if name in there), there[0]))
+
+    @property
+    def why_not(self) -> str | None:
+        """What stands in the way of it; None when nothing does."""
+        if self.wishes.agent not in self.agent_names:
+            return f"There is no agent {self.wishes.agent}."
+        if self.wishes.detector is not None and not self.wishes.detector.is_file():
+            return f"{self.wishes.detector}: there is no such detector."
+        return None
+
+    def load(self, source: str | Path) -> None:
+        """Take a shipped scenario by its name, or one from a file; what is wrong with it is told in `problem`."""
+        try:
+            scenario = load_scenario(source)
+        except (ValueError, OSError) as error:
+            self.problem = told(f"{source} can't be opened", error)
+            return
+        self._scenario, self.source, self.is_changed, self.problem = scenario, str(source), False, None
+
+    def save(self, path: Path) -> None:
+        """Write the scenario as it is now; it is this file's from then on."""
+        path = path if path.suffix else path.with_suffix(".yaml")
+        try:
+            save_scenario(self.scenario, path)
+        except OSError as error:
+            self.problem = told(f"{path} can't be written", error)
+            return
+        self.source, self.is_changed, self.problem = str(path), False, None
+
+    def change(self, scenario: Scenario) -> None:
+        """Go on with a changed scenario; one that contradicts itself is not taken, and said in `problem`."""
+        if scenario == self.scenario:
+            return
+        try:
+            self._scenario = msgspec.convert(msgspec.to_builtins(scenario), Scenario)
+        except ValueError as error:
+            self.problem = str(error)
+            return
+        self.is_changed, self.problem = True, None
+
+    def change_user(self, number: int, user: ScenarioUser) -> None:
+        """Change one of the scenario's road users."""
+        users = (*self.scenario.road_users[:number], user, *self.scenario.road_users[number + 1 :])
+        self.change(msgspec.structs.replace(self.scenario, road_users=users))

@@ -1,0 +1,44 @@
+"""What a roll-out's plots show: numbers over time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from ..simulation.metrics.collisions import gaps_m, times_to_collision_s
+from ..simulation.rollout import Rollout
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curves:
+    """One number a moment of a roll-out. Times are seconds since the scenario began."""
+
+    times_s: Float64[np.ndarray, " n"]
+    speed_m_s: Float64[np.ndarray, " n"]
+    acceleration_m_s2: Float64[np.ndarray, " n"]
+    """Over the step before."""
+    ttc_s: Float64[np.ndarray, " n"]
+    """Time to collision, 0..10 (paper's TTC, from bumper to bumper)."""
+    gap_m: Float64[np.ndarray, " n"]
+    """To the nearest who is ahead in the lane; not a number where nobody is."""
+
+    @property
+    def most_critical_s(self) -> float:
+        """When the time to collision was smallest."""
+        return float(self.times_s[int(self.ttc_s.argmin())])
+
+    def ttc_at(self, time_s: float) -> float:
+        """Time to collision between two moments."""
+        return float(np.interp(time_s, self.times_s, self.ttc_s))
+
+
+def curves_of(rollout: Rollout) -> Curves:
+    """Work out the curves of a roll-out; raises ValueError for one whose vehicle can't be read."""
+    gaps = gaps_m(rollout)
+    return Curves(
+        np.array([each.time_s for each in rollout.steps]),
+        np.array([each.ego.speed_m_s for each in rollout.steps]),
+        np.array([each.ego.acceleration_m_s2 for each in rollout.steps]),
+        times_to_collision_s(rollout),
+        np.where(np.isfinite(gaps), gaps, np.nan),
+    )

@@ -1,0 +1,293 @@
+"""The editor without a window: panels read it and call its methods, the live view draws what it says."""
+
+import logging
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import platformdirs
+
+from ..malloc_tuning import FreedMemory
+from ..rain.keyframes import WITHOUT_CHANGE, Weather, rain_of, weather_of
+from ..rain.settings import Rain
+from ..rain.simulation import Rainfall
+from ..scene.gaussians import forget_scenes
+from ..scene.scene import Scene
+from .autosave import look_again
+from .document import Document, History
+from .drive import Drives
+from .files import Opened, SceneFiles, new_screenshot
+from .finetune import TransferStudio
+from .jobs.job import SceneJob, SceneTask
+from .make_rainy import RainyLook
+from .matching import MatchingView
+from .notifications import Answer, LogLines, Question, nothing
+from .rain import RainLab, RoofSearch, ShowerView
+from .recorder import Recorder
+from .selection.commands import SelectionOptions
+from .services import Desk
+from .viewport.options import EXACT, Detail, InteractionBudget, Side
+from .viewport.picking import SkyPick
+from .viewport_state import bring_in
+
+logger = logging.getLogger("gsrain")
+
+WindowBackend = Literal["auto", "opengl", "cpu"]
+
+
+class Session(Desk):
+    """One open scene and everything around it. Only the main thread touches it."""
+
+    def __init__(self, scene: Scene | None = None, rain: Rain | None = None) -> None:
+        """Begin with a scene, or with an empty one."""
+        self._files = ThreadPoolExecutor(max_workers=1, thread_name_prefix="files")
+        super().__init__(scene or Scene("no scene"), rain, self._files)
+        self.log = LogLines()
+        logger.setLevel(logging.INFO)
+        logger.addHandler(self.log)
+        self.budget = InteractionBudget()
+        self.is_compiling = False
+        """Whether the viewport can't be drawn before kernels are compiled or loaded."""
+        self.backend = ""
+        """What draws the viewport."""
+        self.detail: Detail = EXACT
+        """How much of the exact picture the viewport shows now."""
+        self.screenshot: Path | None = None
+        """Where the live view saves its next picture."""
+        self.sky_pick: SkyPick | None = None
+        """The part of the next picture whose colour drops are to take."""
+        self.shower = ShowerView()
+        self.lab = RainLab()
+        self.selecting = SelectionOptions()
+        self.matching = MatchingView()
+        self._is_closed = False
+        self.is_leaving = False
+        """Whether the program shall end now: a person wants it, and has said what becomes of unsaved changes."""
+        self._roofs = RoofSearch(self._files)
+        self._freed_memory = FreedMemory(self._files)
+        self._other_rainfall = self.rainfall
+        self.files = SceneFiles(self, self.enter, self._files)
+        self.recorder = Recorder(self, self.files, self._files)
+        self.drives = Drives(self.files, self.chase, self._files)
+        self.rainy, self.studio = RainyLook(self.files, self._files), TransferStudio(self._files)
+        self.enter_scene()
+
+    # Files
+
+    def open(self, path: str) -> None:
+        """Read a scene in the background and go to it; of several, the one that was asked for last.
+
+        With unsaved changes, a person is asked first. What goes wrong is logged and kept in `problem`, and the present
+        scene stays.
+        """
+        self.files.open(path)
+
+    def save(self, path: Path) -> None:
+        """Write the document to a scene folder, in the background."""
+        self.files.save_to(path)
+
+    @property
+    def has_changes(self) -> bool:
+        """Whether there is anything that was not saved."""
+        return self.files.has_changes
+
+    def enter(self, opened: Opened) -> None:
+        """Go to another document."""
+        self._cancel_jobs(of_the_scene=True)
+        self.drives.close_all(self)
+        scene = opened.scene
+        rain, weather = rain_of(scene) or self.rain, weather_of(scene) or WITHOUT_CHANGE
+        self.history = History.beginning_with(Document(scene, rain, weather))
+        self.files.enter(opened, self.history.present)
+        self._follow_document()
+        self.enter_scene()
+        forget_scenes()
+        self._freed_memory.note_work()
+        if scene.view is not None:
+            look_again(self, scene.view)
+
+    def enter_scene(self) -> None:
+        """Begin anew with the view and the timeline: this is another place."""
+        super().enter_scene()
+        self.rainy.previewed = None
+
+    def leave(self) -> None:
+        """End the program; with work that goes on or unsaved changes, a person is asked first."""
+        self.files.when_safe("quit", self._leave, ends_program=True)
+
+    def _leave(self) -> None:
+        self.files.give_up()
+        self.is_leaving = True
+
+    # What goes on
+
+    @property
+    def busy(self) -> str | None:
+        """What is being read or written, None when nothing is."""
+        if self.files.busy is not None:
+            return self.files.busy
+        if self.staged is not None and self.staged.is_opened:
+            return f"Uploading {self.staged.label}"
+        if self.rain.roofs and not self._roofs.knows(self.scene):
+            return "Finding roofs"
+        return "Preparing the picture; once after an update this takes up to a minute" if self.is_compiling else None
+
+    @property
+    def pending_files(self) -> list[Future[Any]]:
+        """Reading, writing and finding roofs, to wait for where there are no frames to wait with."""
+        return [*self.files.pending, *self._roofs.pending]
+
+    @property
+    def is_working(self) -> bool:
+        """Whether anything goes on in the background that a frame should look after."""
+        return bool(self.running_jobs) or self.is_bringing_in
+
+    @property
+    def is_bringing_in(self) -> bool:
+        """Whether something is on its way into the picture, which each frame goes on with."""
+        beside = self.captures.is_working or self.matching.is_working or self.drives.is_working or self.is_awaiting
+        return self.busy is not None or self.staged is not None or self.lab.busy is not None or beside
+
+    @property
+    def is_opening(self) -> bool:
+        """Whether another scene is about to take the place of this one."""
+        return self.files.is_opening or super().is_opening
+
+    def start_task(self, task: SceneTask) -> None:
+        """Start a job whose result is a scene; its files are read and written in the session's thread."""
+        self.start(SceneJob(task, self._files))
+
+    @property
+    def holds_document(self) -> bool:
+        """Whether a person is asked about the document that is open: no other takes its place before the answer.
+
+        Nothing holds an empty document, nor one that is left as soon as work has ended.
+        """
+        return bool(self.scene.members) and self.questions.present is not None and not self.is_awaiting
+
+    def swap_in(self) -> None:
+        """Show the staged scene: its Gaussians are where the next frame needs them.
+
+        One that takes the document's place stays staged while a question about the document has no answer.
+        """
+        if self.staged is not None and self.staged.is_opened and self.holds_document:
+            return
+        staged, self.staged = self.staged, None
+        if staged is None:
+            return
+        if staged.is_opened:
+            self.enter(self.files.arrive(staged.scene))
+            logger.info("Opened %s: %s Gaussians", staged.label, f"{staged.scene.gaussian_count:,}")
+        else:
+            bring_in(self, staged)
+
+    def update(self, real_s: float) -> None:
+        """Let time go by and take in what background work has finished. Once a frame."""
+        self.clock.advance(real_s, self.span_s)
+        self._shown_preview, self.preview = self.preview, None
+        self.following.ride(self.shown_scene, self.clock.time_s, self.navigation)
+        self.files.poll()
+        self._preferences.poll()
+        if self.rain.roofs:
+            self._roofs.look_at(self.scene)
+        self.lab.poll()
+        self.captures.poll(self)
+        self._ask_about_outside()
+        self.matching.poll(self)
+        self.drives.poll(self)
+        for job in self.running_jobs:
+            job.poll(self)
+            if job.error is not None:
+                self.problem = f"{job.title} failed: {job.error}"
+                logger.error("%s", self.problem)
+        self.rainy.poll(self)
+        if self.staged is None and not self.drives.is_working:  # else a result is still on its way in
+            self._go_on_when_idle()
+        if self.is_working:
+            self._freed_memory.note_work()
+        self._freed_memory.poll()
+
+    # What is shown
+
+    @property
+    def loose_results(self) -> list[str]:
+        """Roll-outs of this session's drives that were not saved."""
+        return [each.title for each in self.drives.opened if each.path is None]
+
+    @property
+    def shown_scene(self) -> Scene:
+        """What the viewport shows: what a tool drags, with the road users of a roll-out that plays."""
+        return self.drives.scene_in_place_of(super().shown_scene)
+
+    @property
+    def shown_rainfall(self) -> Rainfall:
+        """The rain that the viewport shows: the document's, or that of a roll-out that plays."""
+        return self.drives.rainfall(roofs=self._roofs.knows(self.scene)) or self._drawn_rainfall
+
+    @property
+    def sides(self) -> list[Side]:
+        """What the viewport shows: one side, or two from left to right."""
+        shown, rainfall = self.shown_scene, self.shown_rainfall
+        here = Side("", shown, rainfall)
+        if self.view.split == "clear | rainy":
+            clear = rainfall.rain.without_rain
+            return [Side("clear", shown, self._rainfall_of(clear, WITHOUT_CHANGE)), here._replace(label="rainy")]
+        if self.view.split == "before | after":
+            before = self.history.previous
+            rainfall = self._rainfall_of(before.rain, before.weather)
+            left = Side(f"before: {self.history.undo_label or 'nothing'}", before.scene, rainfall)
+            return [left, here._replace(label="after")]
+        return [here]
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last moment that play: as a person has set them, else those of the flight or the traffic."""
+        return self.clock.span_s or self.drives.span_s() or super().span_s
+
+    def take_screenshot(self, folder: Path | None = None) -> None:
+        """Save the next picture under the present date and time, by default in the person's pictures folder."""
+        self.screenshot = new_screenshot(folder or Path(platformdirs.user_pictures_dir()))
+
+    def close(self) -> None:
+        """Stop everything that runs. To be called once more does nothing."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self._cancel_jobs()
+        self.files.close()
+        self._preferences.close()
+        self._files.shutdown()
+        self.lab.close()
+        self.captures.close()
+        self.matching.close()
+        logger.removeHandler(self.log)
+
+    @property
+    def _drawn_rainfall(self) -> Rainfall:
+        """The rain without roofs until they are found: a frame that looked for them would take seconds."""
+        if not self.rain.roofs or (self._roofs.knows(self.scene) and self._shown_preview is None):
+            return self.rainfall
+        return replace(self.rainfall, rain=msgspec.structs.replace(self.rain, roofs=False))
+
+    def _rainfall_of(self, rain: Rain, weather: Weather) -> Rainfall:
+        if rain == self.rain and weather is self.weather:
+            return self.rainfall
+        if rain != self._other_rainfall.rain or weather is not self._other_rainfall.weather:
+            self._other_rainfall = Rainfall.start(rain, weather=weather)
+        return self._other_rainfall
+
+    def _ask_about_outside(self) -> None:
+        """Ask before files are read that lie outside of a capture's folder."""
+        if self.captures.refused is None:
+            return
+        (path, why), self.captures.refused = self.captures.refused, None
+        text = f"{why.partition('; --allow')[0]}. Read files outside of its folder?"
+        yes = Answer("Read them", lambda: self.captures.open(path, allow_outside=True), "Open it with those files.")
+        self.questions.ask(Question("Files outside of the capture", text, (yes, Answer("Cancel", nothing))))
+
+    def _cancel_jobs(self, *, of_the_scene: bool = False) -> None:
+        for job in self.running_jobs:
+            if job.ends_with_scene or not of_the_scene:
+                job.cancel()

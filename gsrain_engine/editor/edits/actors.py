@@ -1,0 +1,201 @@
+"""Actors as things that drive: moved with their whole track, turned, driving at other times."""
+
+from dataclasses import replace
+
+import numpy as np
+import scipy
+from jaxtyping import Float64
+
+from ...scene.camera_path import CameraPath
+from ...scene.geometry import quaternion_product, quaternions_from_matrices
+from ...scene.scene import Actor, RigCamera, Scene, Track
+from ...scene.transforms import moved
+from .members import unlocked
+
+
+def moved_actor(actor: Actor, similarity: Float64[np.ndarray, "4 4"]) -> Actor:
+    """Move an actor with its whole track by a similarity of the scene; its Gaussians take the scale."""
+    scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+    scaling = np.diag([scale, scale, scale, 1.0])
+    is_rigid = abs(scale - 1) < 1e-12
+    length, width, height = actor.size_lwh
+    return replace(
+        actor,
+        track=actor.track.moved(similarity),
+        gaussians=actor.gaussians if is_rigid else moved(actor.gaussians, scaling),
+        size_lwh=actor.size_lwh if is_rigid else (scale * length, scale * width, scale * height),
+    )
+
+
+def turn_actor(scene: Scene, key: str, left_deg: float) -> Scene:
+    """Turn an actor in place, to the left about its own z axis, at every moment; it drives where it drove.
+
+    Raises `ValueError` where there is no such actor or it is locked.
+    """
+    actor = _unlocked_actor(scene, key)
+    half = np.radians(left_deg) / 2
+    turn = np.broadcast_to([np.cos(half), 0.0, 0.0, np.sin(half)], actor.track.quaternions_wxyz.shape)
+    quaternions = quaternion_product(actor.track.quaternions_wxyz, turn)
+    return scene.with_member(key, track=replace(actor.track, quaternions_wxyz=quaternions))
+
+
+def retime_actor(scene: Scene, key: str, start_s: float, duration_s: float) -> Scene:
+    """Let an actor drive its track from one time on, in so many seconds; a track of one sample only shifts.
+
+    Raises `ValueError` where there is no such actor, it is locked, or the duration is not above 0.
+    """
+    actor = _unlocked_actor(scene, key)
+    if not (duration_s > 0 and np.isfinite([start_s, duration_s]).all()):
+        raise ValueError(f"The drive of {actor.name} must last longer than 0 s, not {duration_s:g} s.")
+    times = actor.track.times
+    span = duration_of(actor)
+    stretch = duration_s / span if span > 0 else 1.0
+    return scene.with_member(key, track=replace(actor.track, times=start_s + stretch * (times - times[:1])))
+
+
+def start_of(actor: Actor) -> float:
+    """Seconds at which its track begins."""
+    return float(actor.track.times[0]) if len(actor.track.times) else 0.0
+
+
+def duration_of(actor: Actor) -> float:
+    """Seconds from the first sample of its track to the last."""
+    times = actor.track.times
+    return float(times[-1] - times[0]) if len(times) else 0.0
+
+
+def _unlocked_actor(scene: Scene, key: str) -> Actor:
+    actor = unlocked(scene, key)
+    if not isinstance(actor, Actor):
+        raise ValueError(f"{actor.name} is a layer: it stands still.")
+    return actor
+
+
+# § A drive for scenes that came without one: the ego vehicle goes where a camera went.
+
+RIG = "drive"
+"""What the rig is called that comes with such a drive."""
+
+_STEP_M = 0.5
+"""Closer samples say more of the camera's shaking than of the way."""
+
+_SAMPLES_PER_S, _MOST_SAMPLES = 10.0, 20_000
+
+_AHEAD_COS = 0.5
+"""A camera that looks within 60 degrees of the way shows what a driver sees."""
+
+_LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Camera axes (x right, y down, z forward) to ego axes (x forward, y left, z up), looking straight ahead."""
+
+
+def drive_along(scene: Scene, path: CameraPath, width: int = 1600, height: int = 900) -> Scene:
+    """Let the ego vehicle drive where a camera flew; `path` is in the scene's units and axes.
+
+    The rig frame's origin is the camera's place; the vehicle stands upright and heads where it goes. A scene without
+    rigs gets one of a single camera: the flown one as it was turned on average, or, where that looked backwards or
+    aside, one that looks ahead. `width` and `height` are those of its pictures, px.
+
+    Raises ValueError where the camera moves less than a step of 0.5 m.
+    """
+    times = _times(path)
+    to_world = scene.scene_to_world
+    cameras = [path.camera(float(t), width, height) for t in times]
+    places = np.stack([to_world[:3, :3] @ each.position + to_world[:3, 3] for each in cameras])
+    kept = _apart(places)
+    if len(kept) < 2:
+        raise ValueError(f"The camera moves less than {_STEP_M:g} m: no vehicle can drive along that.")
+    way = np.gradient(places[kept], axis=0)
+    headings = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
+    rotation = scipy.spatial.transform.Rotation
+    upright = rotation.from_rotvec(np.outer(headings, [0.0, 0.0, 1.0]))
+    track = Track(
+        times[kept],
+        (places[kept] - to_world[:3, 3]) @ np.linalg.inv(to_world[:3, :3]).T,
+        _in_scene(upright.as_matrix(), to_world),
+        np.ones(len(kept), np.bool_),
+    )
+    turn = to_world[:3, :3] / np.cbrt(np.linalg.det(to_world[:3, :3]))
+    seen = np.stack([turn @ cameras[i].camera_to_world[:3, :3] for i in kept])
+    mean = (upright.inv() * rotation.from_matrix(seen)).mean().as_matrix()
+    first = cameras[0]
+    mounted = RigCamera(
+        "front", first.width, first.height, first.fx, first.fy, first.cx, first.cy,
+        _pose(mean if mean[0, 2] > _AHEAD_COS else _LEVEL), path.exposure_s,
+    )  # fmt: skip
+    return replace(scene, ego=track, rigs=scene.rigs or {RIG: (mounted,)})
+
+
+def drive_along_own_path(scene: Scene) -> Scene:
+    """Let the ego vehicle drive along the scene's own camera path; raises ValueError where there is none."""
+    if scene.path is None:
+        raise ValueError("The scene has no camera path to drive along: key one on the timeline, or import one.")
+    return drive_along(scene, scene.path)
+
+
+def _times(path: CameraPath) -> Float64[np.ndarray, " n"]:
+    """Return the moments of all keys, and more between them."""
+    count = int(np.clip(path.duration_s * _SAMPLES_PER_S, 2, _MOST_SAMPLES))
+    return np.union1d(np.linspace(path.start_s, path.end_s, count), path.times_s)
+
+
+def _apart(places: Float64[np.ndarray, "n 3"]) -> list[int]:
+    """Indices of places that are at least a step apart on the ground, the first and the last among them."""
+    kept: list[int] = []
+    for i, place in enumerate(places):
+        if not kept or np.linalg.norm(place[:2] - places[kept[-1]][:2]) >= _STEP_M:
+            kept.append(i)
+    return [*kept[:-1], len(places) - 1] if len(kept) > 1 else kept
+
+
+def _in_scene(
+    upright: Float64[np.ndarray, "n 3 3"], to_world: Float64[np.ndarray, "4 4"]
+) -> Float64[np.ndarray, "n 4"]:
+    turn = to_world[:3, :3] / np.cbrt(np.linalg.det(to_world[:3, :3]))
+    return np.asarray(quaternions_from_matrices(turn.T @ upright), np.float64)
+
+
+def _pose(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "4 4"]:
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    return matrix
+
+
+# § Where the ego vehicle starts, and where the scene's own origin lies.
+
+SENSOR_HEIGHT_M = 1.5
+"""Of the ego frame's origin above the ground, where nothing else is known."""
+
+
+def set_ego_start(scene: Scene, ground_point_m: Float64[np.ndarray, "3"], heading_rad: float) -> Scene:
+    """Let the ego vehicle start over a point of the ground, in the world (metres, z up).
+
+    A drive is moved as a whole and keeps its direction and its height over its own start's ground. Where there is
+    none, an ego that stands there is made, at sensor height, with a heading from +x to +y.
+    """
+    world_to_scene = np.linalg.inv(scene.scene_to_world)
+    place = ground_point_m + np.array([0.0, 0.0, SENSOR_HEIGHT_M])
+    if scene.ego is not None and len(scene.ego.times):
+        there = np.eye(4)
+        there[:3, 3] = world_to_scene[:3, :3] @ place + world_to_scene[:3, 3] - scene.ego.positions[0]
+        return replace(scene, ego=scene.ego.moved(there))
+    c, s = float(np.cos(heading_rad)), float(np.sin(heading_rad))
+    pose = np.array([[c, -s, 0, place[0]], [s, c, 0, place[1]], [0, 0, 1, place[2]], [0, 0, 0, 1.0]])
+    standing = Track(np.zeros(1), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.ones(1, np.bool_))
+    return replace(scene, ego=standing.moved(world_to_scene @ pose))
+
+
+def set_origin(scene: Scene, point_m: Float64[np.ndarray, "3"]) -> Scene:
+    """Move everything so that a point of the world becomes its origin: layers, actors, ego, camera path, ground.
+
+    Layers that are locked move too: they all keep their places beside one another.
+    """
+    shift = np.eye(4)
+    shift[:3, 3] = -np.linalg.inv(scene.scene_to_world)[:3, :3] @ point_m
+    return replace(
+        scene,
+        layers=tuple(replace(each, to_scene=shift @ each.to_scene) for each in scene.layers),
+        actors=tuple(replace(each, track=each.track.moved(shift)) for each in scene.actors),
+        ego=None if scene.ego is None else scene.ego.moved(shift),
+        path=None if scene.path is None else scene.path.moved(shift),
+        ground_m=None if scene.ground_m is None else scene.ground_m - float(point_m[2]),
+    )

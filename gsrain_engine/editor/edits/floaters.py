@@ -1,0 +1,137 @@
+"""Floaters: Gaussians that hang in the air of a capture. Finds them by opacity, size and isolation."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Annotated
+
+import msgspec
+import numpy as np
+import scipy
+from jaxtyping import Bool, Float32, Float64
+from msgspec import Meta
+
+from ...scene.flags import Marks, Mask
+from ...scene.gaussians import Gaussians
+from ...scene.progress import Progress
+from ...scene.scene import Actor, Layer, Scene, core_bounds
+from .members import edited, is_editable
+
+_AT_ONCE = 20_000
+"""Gaussians whose neighbours are looked for between two chances to cancel."""
+
+
+class FloaterRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What makes a Gaussian a floater; any one of the rules that are on is enough."""
+
+    opacity_below: Annotated[
+        float, Meta(ge=0, le=1, title="Opacity below", description="Fainter ones are floaters; 0 turns the rule off.")
+    ] = 0.05
+    size_above_m: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=1000,
+            title="Size above",
+            description="Larger ones (longest standard deviation) are floaters; 0 turns the rule off.",
+            extra={"unit": "m"},
+        ),
+    ] = 0.0
+    isolation_above: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=1000,
+            title="Isolation above",
+            description="Those farther from their neighbours than so many times the median are floaters; 0 turns the "
+            "rule off.",
+        ),
+    ] = 8.0
+    neighbors: Annotated[
+        int, Meta(ge=1, le=64, title="Neighbours", description="How many nearest ones isolation looks at.")
+    ] = 8
+
+
+@dataclass(slots=True)
+class FloaterSearch:
+    """A search through the background layers of a scene that may be edited; a generator, so it can be left."""
+
+    scene: Scene
+    rules: FloaterRules
+    found: dict[str, tuple[Gaussians, Mask]] = field(default_factory=dict[str, "tuple[Gaussians, Mask]"])
+    """Floaters of each layer by its key, with the very Gaussians that they are among."""
+
+    def run(self) -> Iterator[Progress]:
+        """Search; `found` is complete at the end. A million Gaussians take seconds.
+
+        What belongs to a far shell, such as the sky dome of a scene in a single file, is no floater.
+        """
+        layers = [each for each in self.scene.layers if is_editable(each) and each.kind == "background"]
+        parts = [self.scene.part(each) for each in self.scene.layers if each.visible and each.kind == "background"]
+        shell = core_bounds([part for part in parts if part is not None]).shell
+        total = sum(len(each.gaussians) for each in layers) or 1
+        done = 0
+        for layer in layers:
+            part = self.scene.part(layer)
+            assert part is not None
+            there = (
+                np.flatnonzero(~part.left_out.flags) if part.left_out is not None else np.arange(len(part.gaussians))
+            )
+            scale = float(np.cbrt(np.linalg.det(part.to_world[:3, :3])))
+            flags = np.zeros(len(part.gaussians), np.bool_)
+            opacities = part.gaussians.opacities[there] * np.float32(part.opacity)
+            sizes_m = part.gaussians.scales[there].max(axis=1, initial=0) * np.float32(scale)
+            flags[there] = self._by_value(opacities, sizes_m)
+            if self.rules.isolation_above > 0 and len(there) > 1:
+                for share, isolated in _isolated(part.gaussians.means[there], self.rules):
+                    yield Progress(
+                        (done + share * len(part.gaussians)) / total, f"Looking at the neighbours in {layer.name}"
+                    )
+                    if isolated is not None:
+                        flags[there] |= isolated
+            if shell is not None:
+                flags &= ~shell.holds(part)
+            done += len(part.gaussians)
+            self.found[layer.key] = part.gaussians, Mask.of(flags)
+
+    def _by_value(
+        self, opacities: Float32[np.ndarray, " n"], sizes_m: Float32[np.ndarray, " n"]
+    ) -> Bool[np.ndarray, " n"]:
+        rules = self.rules
+        flags = opacities < rules.opacity_below
+        if rules.size_above_m > 0:
+            flags |= sizes_m > rules.size_above_m
+        return flags
+
+
+def select_floaters(scene: Scene, found: dict[str, tuple[Gaussians, Mask]]) -> Scene:
+    """Select what a search has found, and nothing else; layers whose Gaussians have changed since are passed by."""
+
+    def selecting(member: Layer | Actor) -> Layer | Actor:
+        gaussians, mask = found.get(member.key, (None, None))
+        selected = mask if gaussians is member.gaussians and mask else None
+        if selected is None and member.marks.selected is None:
+            return member
+        return replace(member, marks=Marks(selected, member.marks.hidden, member.marks.deleted))
+
+    return edited(scene, selecting)
+
+
+def _isolated(
+    means: Float32[np.ndarray, "n 3"], rules: FloaterRules
+) -> Iterator[tuple[float, Bool[np.ndarray, " n"] | None]]:
+    """Share that is done, and with the last one who is isolated. What is not finite is isolated."""
+    finite = np.isfinite(means).all(axis=1)
+    places = means[finite]
+    distances: list[Float64[np.ndarray, " m"]] = [np.zeros(0)]
+    if len(places) > 1:
+        yield 0.0, None
+        tree = scipy.spatial.KDTree(places, balanced_tree=False, compact_nodes=False)
+        count = min(rules.neighbors, len(places) - 1)
+        for start in range(0, len(places), _AT_ONCE):
+            near, _ = tree.query(places[start : start + _AT_ONCE], k=count + 1, workers=-1)
+            distances.append(near[:, 1:].mean(axis=1))  # the nearest is the Gaussian itself
+            yield min(0.1 + 0.9 * (start + _AT_ONCE) / len(places), 0.99), None
+    mean_distance = np.full(len(means), np.inf)
+    mean_distance[finite] = np.concatenate(distances) if len(places) > 1 else 0.0
+    median = float(np.median(mean_distance[finite])) if finite.any() else 0.0
+    yield 1.0, mean_distance > rules.isolation_above * max(median, np.finfo(np.float64).tiny)

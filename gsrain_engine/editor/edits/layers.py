@@ -1,0 +1,202 @@
+"""Layers and actors as wholes: copied, parted, joined, named, ordered. Each function makes a new scene."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...scene.flags import UNMARKED, Marks, Mask
+from ...scene.gaussians import Gaussians
+from ...scene.lod_order import drawing_order
+from ...scene.scene import UNCHANGED, Layer, Part, Scene, rows_of
+from ...scene.transforms import baked, moved, soaked_sh
+from .actors import moved_actor
+from .gaussians import delete_selected
+from .members import behind, found, is_editable, named, names, unique_name, unlocked, with_members, with_selections
+
+__all__ = ["duplicate", "import_scene", "merge", "move_down", "move_up", "remove", "rename", "separate"]
+
+
+def duplicate(scene: Scene, key: str) -> Scene:
+    """Return the scene with a copy of a member behind it, under a name of its own; its arrays are shared.
+
+    Raises `ValueError` where there is no such member.
+    """
+    member = found(scene, key)
+    copy = replace(named(member, unique_name(member.name, names(scene, member))), locked=False)
+    return with_members(scene, behind(scene, key, (copy,)))
+
+
+def separate(scene: Scene) -> Scene:
+    """Take what is selected out into a layer of its own, behind the first one that it comes from.
+
+    The Gaussians stay where they were, marked as deleted, so that selection sets stay true. What comes from one layer
+    keeps its similarity, opacity and grading; what comes from several is joined as `merge` does. What is selected of
+    an actor becomes an actor on the same track. Raises `ValueError` where nothing is selected.
+    """
+    sources = [each for each in scene.members if is_editable(each) and each.marks.selected]
+    if not sources:
+        raise ValueError("Nothing is selected.")
+    result, parted = delete_selected(scene), list[str]()
+    for source in sources:
+        assert source.marks.selected is not None
+        kept = source.marks.selected if source.marks.left_out is None else source.marks.selected - source.marks.left_out
+        if not kept:
+            continue
+        name = unique_name(source.name, names(result, source))
+        gaussians, wet_sh = rows_of(source, kept.indices)
+        piece = replace(named(source, name), gaussians=gaussians, wet_sh=wet_sh, marks=UNMARKED)
+        result = with_members(result, behind(result, source.key, (piece,)))
+        if isinstance(source, Layer) and source.kind == "background":
+            parted.append(piece.key)
+    return merge(result, parted) if len(parted) > 1 else result
+
+
+def remove(scene: Scene, key: str) -> Scene:
+    """Return the scene without a member. Raises `ValueError` where there is none or it is locked."""
+    unlocked(scene, key)
+    members = tuple(each for each in scene.members if each.key != key)
+    return with_selections(
+        with_members(scene, members), lambda masks: {each: mask for each, mask in masks.items() if each != key}
+    )
+
+
+def rename(scene: Scene, key: str, name: str) -> Scene:
+    """Give a member another name, with a number behind it where that is taken; selection sets follow.
+
+    Raises `ValueError` where there is no such member, and for an empty name.
+    """
+    member, name = found(scene, key), name.strip()
+    if not name:
+        raise ValueError("A name can't be empty.")
+    renamed = named(member, unique_name(name, names(scene, member) - {member.name}))
+    members = tuple(renamed if each is member else each for each in scene.members)
+    return with_selections(
+        with_members(scene, members),
+        lambda masks: {renamed.key if each == key else each: mask for each, mask in masks.items()},
+    )
+
+
+def move_up(scene: Scene, key: str) -> Scene:
+    """Let a member stand one place earlier among its kind. Raises `ValueError` where there is none or it is first."""
+    return _shifted(scene, key, -1, "is the first already")
+
+
+def move_down(scene: Scene, key: str) -> Scene:
+    """Let a member stand one place later among its kind. Raises `ValueError` where there is none or it is last."""
+    return _shifted(scene, key, +1, "is the last already")
+
+
+def _shifted(scene: Scene, key: str, by: int, trouble: str) -> Scene:
+    member = found(scene, key)
+    kind = [each for each in scene.members if type(each) is type(member)]
+    at = kind.index(member)
+    if not 0 <= at + by < len(kind):
+        raise ValueError(f"{member.name} {trouble}.")
+    kind[at], kind[at + by] = kind[at + by], kind[at]
+    return with_members(scene, (*(each for each in scene.members if type(each) is not type(member)), *kind))
+
+
+# § Several layers as one.
+
+
+def merge(scene: Scene, keys: Sequence[str]) -> Scene:
+    """Join layers into the first of them; what is deleted falls out for good.
+
+    All come into the frame of the first. Opacity and grading stay as they are where all agree, else they are put into
+    the Gaussians. Wet colours of one go along with the clear colours of another that has none. Marks and selection sets
+    stay true. Raises `ValueError` for fewer than two, for actors, for locked
+    ones, and for a sky with anything else.
+    """
+    layers = [unlocked(scene, key) for key in dict.fromkeys(keys)]
+    if len(layers) < 2:
+        raise ValueError("Merging takes two layers or more.")
+    joined = [each for each in layers if isinstance(each, Layer)]
+    if len(joined) < len(layers):
+        raise ValueError("Actors move on their own, so they can't be merged.")
+    if len({each.kind for each in joined}) > 1:
+        raise ValueError("A sky can't be merged with what is no sky.")
+    first, agree = joined[0], _agree(joined)
+    kept = [_undeleted(each) for each in joined]
+    pieces = [_brought_to(first, each, bake=not agree) for each in joined]
+    every = Gaussians.concatenate(pieces)
+    order = drawing_order(every).astype(np.int64)
+    wet_sh = None
+    if any(each.wet_sh is not None for each in joined):
+        soaked = [replace(each, gaussians=each.gaussians.with_sh(soaked_sh(each))) for each in joined]
+        wet_sh = Gaussians.concatenate([_brought_to(first, each, bake=not agree) for each in soaked]).sh[order]
+
+    def put_together(masks: Sequence[Mask | None]) -> Mask | None:
+        mask = _joined(masks, kept)
+        return mask.take(order) if mask else None
+
+    whole = replace(
+        first,
+        gaussians=every.take(order),
+        wet_sh=wet_sh,
+        marks=Marks(
+            put_together([each.marks.selected for each in joined]), put_together([each.marks.hidden for each in joined])
+        ),
+        opacity=first.opacity if agree else 1.0,
+        grading=first.grading if agree else UNCHANGED,
+    )
+    others = {each.key for each in joined[1:]}
+    members = tuple(whole if each is first else each for each in scene.members if each.key not in others)
+
+    def change(masks: Mapping[str, Mask]) -> Mapping[str, Mask]:
+        mask = put_together([masks.get(each.key) for each in joined])
+        rest = {key: each for key, each in masks.items() if key != first.key and key not in others}
+        return rest if mask is None else rest | {first.key: mask}
+
+    return with_selections(with_members(scene, members), change)
+
+
+def _agree(layers: list[Layer]) -> bool:
+    return len({(each.opacity, each.grading) for each in layers}) == 1
+
+
+def _undeleted(layer: Layer) -> Mask:
+    return Mask.all(len(layer.gaussians)) if layer.marks.deleted is None else ~layer.marks.deleted
+
+
+def _brought_to(first: Layer, layer: Layer, *, bake: bool) -> Gaussians:
+    part = Part(layer.gaussians, layer.to_scene, left_out=layer.marks.deleted)
+    if bake:
+        part = part._replace(opacity=layer.opacity, colors=layer.grading.matrix)
+    same = np.array_equal(first.to_scene, layer.to_scene)
+    return moved(baked(part), np.eye(4) if same else np.linalg.inv(first.to_scene) @ layer.to_scene)
+
+
+def _joined(masks: Sequence[Mask | None], kept: Sequence[Mask]) -> Mask:
+    """One mask of several, in their order, without what is not kept."""
+    flags = [
+        np.zeros(keep.size, np.bool_) if mask is None else mask.flags[keep.flags]
+        for mask, keep in zip(masks, kept, strict=True)
+    ]
+    return Mask.of(np.concatenate(flags))
+
+
+# § One scene brought into another.
+
+
+def import_scene(scene: Scene, other: Scene) -> Scene:
+    """Return the scene with all members of another one, placed so that world frames agree: metres, z up, one origin.
+
+    Names are made unique, selection sets come along. A scene without members becomes the other.
+    """
+    if not scene.members:
+        return other
+    way = np.linalg.inv(scene.scene_to_world) @ other.scene_to_world
+    if np.allclose(way, np.eye(4), rtol=0, atol=1e-12):
+        way = np.eye(4)
+    result, keys = scene, dict[str, str]()
+    for member in other.members:
+        added = named(member, unique_name(member.name, names(result, member)))
+        keys[member.key] = added.key
+        is_layer = isinstance(added, Layer)
+        placed = replace(added, to_scene=way @ added.to_scene) if is_layer else moved_actor(added, way)
+        result = with_members(result, (*result.members, placed))
+    sets = dict(scene.selections)
+    for name, masks in other.selections.items():
+        sets[unique_name(name, sets)] = {keys[key]: mask for key, mask in masks.items() if key in keys}
+    return replace(result, selections=sets)

@@ -1,0 +1,217 @@
+"""Which way is up, and how high the ground is: from points that a person picks, or from the ground itself."""
+
+from dataclasses import replace
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+from jaxtyping import Float64
+
+from ...scene.camera_path_edit import WALKING_M_S, paced
+from ...scene.geometry import matrices_from_quaternions
+from ...scene.scene import Scene
+
+Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
+"""A direction along an axis of a scene."""
+
+UNIT_M = (1e-6, 1e6)
+"""Lengths of a scene unit that are taken, in metres."""
+
+_SAMPLES = 100_000
+
+_TRIES = 400
+
+_STEEPEST_COS = 0.5
+"""The ground lies within 60 degrees of level, else `up` would have been said wrongly altogether."""
+
+_FLAT = 0.6
+"""A Gaussian is flat where its thinnest axis is so much shorter than the middle one."""
+
+_TOLERANCE = 0.008
+"""Of the scene's extent: how far from the plane a point of the ground may lie."""
+
+_BELOW = 2.0
+"""Votes that a plane loses for each sample below it: a roof has more of the scene below than itself is large."""
+
+_FEWEST_SHARE = 0.05
+
+
+class Ground(NamedTuple):
+    """A plane of the world, metres."""
+
+    up: Float64[np.ndarray, "3"]
+    """Unit normal, upwards."""
+    point_m: Float64[np.ndarray, "3"]
+    """One point of it."""
+    share: float
+    """Of the samples of the scene that lie on it."""
+
+
+def oriented(scene: Scene, up: str | None = None, metres_per_unit: float | None = None) -> Scene:
+    """Return the scene with another axis up and another length of its unit; None leaves either as it is.
+
+    Files of Gaussians hold neither. A scene that is turned has no known height of its ground any more. Raises
+    `ValueError` for an axis or a length that is not allowed.
+    """
+    if up is not None:
+        if up not in get_args(Axis):
+            raise ValueError(f"up {up!r}: expected one of {', '.join(get_args(Axis))}")
+        sign, component = (-1.0 if up.startswith("-") else 1.0), "xyz".index(up[-1])
+        x, y, z = (sign if axis == component else 0.0 for axis in range(3))
+        if (x, y, z) != scene.up:
+            scene = replace(scene, up=(x, y, z), ground_m=None)
+    if metres_per_unit is None:
+        return scene
+    low, high = UNIT_M
+    if not low <= metres_per_unit <= high:
+        raise ValueError(f"scale {metres_per_unit:g}: must be within {low:f}..{high:.0f} metres per unit")
+    return set_length(scene, scene.metres_per_unit, metres_per_unit)
+
+
+def level_to(scene: Scene, up: Float64[np.ndarray, "3"], point_m: Float64[np.ndarray, "3"]) -> Scene:
+    """Turn the world so that a direction of it points up; the ground is as high as a point of it then is."""
+    rotation = scene.scene_to_world[:3, :3] / scene.metres_per_unit
+    x, y, z = np.round(rotation.T @ (up / np.linalg.norm(up)), 12).tolist()  # an axis shall stay one
+    turned = replace(scene, up=(x, y, z))
+    to_new = turned.scene_to_world @ np.linalg.inv(scene.scene_to_world)
+    return replace(turned, ground_m=float(to_new[2, :3] @ point_m + to_new[2, 3]))
+
+
+def level_from_points(scene: Scene, points_m: Float64[np.ndarray, "3 3"]) -> Scene:
+    """Level a scene by three points of the ground, in the world; raises `ValueError` where they lie on one line."""
+    across, along = points_m[1] - points_m[0], points_m[2] - points_m[0]
+    normal = np.cross(across, along)
+    if np.linalg.norm(normal) < 1e-3 * np.linalg.norm(across) * np.linalg.norm(along) or not normal.any():
+        raise ValueError("The three points lie on one line: pick them in a triangle, as large as can be.")
+    return level_to(scene, normal if normal[2] >= 0 else -normal, points_m.mean(axis=0))
+
+
+def level_from_ground(scene: Scene) -> Scene:
+    """Level a scene by its ground; raises `ValueError` where none is found."""
+    ground = find_ground(scene)
+    return level_to(scene, ground.up, ground.point_m)
+
+
+def set_ground_height(scene: Scene, height_m: float) -> Scene:
+    """Say how high the ground is in the world."""
+    return replace(scene, ground_m=float(height_m))
+
+
+def find_ground(scene: Scene, seed: int = 0) -> Ground:
+    """Find the lowest large plane of what stands still and can be seen, by RANSAC (Fischler and Bolles 1981).
+
+    Gaussians that are flat and face upwards within 60 degrees vote; a plane loses two votes for each sample
+    below it. The winner is fitted to its voters by least squares.
+
+    Raises `ValueError` where fewer than a twentieth of the samples lie on it.
+    """
+    points, normals = _samples(scene, np.random.default_rng(seed))
+    facing = np.abs(normals[:, 2]) > _STEEPEST_COS
+    voters = points[facing] if facing.sum() > _FEWEST_SHARE * len(points) else points
+    if len(voters) < 3:
+        raise ValueError("No ground was found: too little of the scene can be seen.")
+    low, high = np.quantile(points, [0.02, 0.98], axis=0)
+    tolerance = _TOLERANCE * float(np.linalg.norm(high - low))
+    up, point = _winner(points, voters, tolerance, np.random.default_rng(seed))
+    for width in (1.0, 0.5, 0.25):  # of a thick ground the middle counts
+        near = voters[np.abs((voters - point) @ up) < width * tolerance]
+        if len(near) < 3:
+            break
+        point = near.mean(axis=0)
+        up = np.linalg.svd(near - point, full_matrices=False)[2][2]
+        up = up if up[2] >= 0 else -up
+    share = float((np.abs((voters - point) @ up) < tolerance).sum() / len(points))
+    if share < _FEWEST_SHARE:
+        raise ValueError("No ground was found: no plane holds enough of the scene. Level it by three points (window).")
+    return Ground(up, point, share)
+
+
+def _winner(
+    points: Float64[np.ndarray, "n 3"],
+    voters: Float64[np.ndarray, "m 3"],
+    tolerance: float,
+    random: np.random.Generator,
+) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+    """Unit normal and a point of the plane with the most votes, tried on a few thousand of them."""
+    few = points[random.permutation(len(points))[:4000]]
+    few_voters = voters[random.permutation(len(voters))[:4000]]
+    weight = len(voters) / len(few_voters), len(points) / len(few)
+    best, winner = -np.inf, (np.array([0.0, 0.0, 1.0]), voters[np.argmin(voters[:, 2])])
+    for three in random.integers(0, len(voters), (_TRIES, 3)):
+        a, b, c = voters[three]
+        normal = np.cross(b - a, c - a)
+        length = float(np.linalg.norm(normal))
+        if length < 1e-12 or abs(normal[2]) < _STEEPEST_COS * length:
+            continue
+        normal = normal / (length if normal[2] > 0 else -length)
+        on_it = np.abs((few_voters - a) @ normal) < tolerance
+        below = (few - a) @ normal < -3 * tolerance
+        votes = weight[0] * on_it.sum() - _BELOW * weight[1] * below.sum()
+        if votes > best:
+            best, winner = votes, (normal, a)
+    return winner
+
+
+def _samples(
+    scene: Scene, random: np.random.Generator
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
+    """Centres of half-opaque Gaussians in the world, and their normals; of what is not flat the normal is zero."""
+    points, normals = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    for layer in scene.layers:
+        part = scene.part(layer)
+        if not layer.visible or layer.kind == "sky" or part is None:
+            continue
+        solid = part.gaussians.opacities > 0.5
+        if part.left_out is not None:
+            solid &= ~part.left_out.flags
+        where = random.permutation(np.flatnonzero(solid))[:_SAMPLES]
+        gaussians = part.gaussians.take(where)
+        scale = float(np.cbrt(np.linalg.det(part.to_world[:3, :3])))
+        ordered = np.sort(gaussians.scales, axis=1)
+        axes = matrices_from_quaternions(gaussians.quaternions.astype(np.float64))
+        thinnest = np.take_along_axis(axes, np.argmin(gaussians.scales, axis=1)[:, None, None], axis=2)[..., 0]
+        flat = ordered[:, 0] < _FLAT * ordered[:, 1]
+        points.append(gaussians.means.astype(np.float64) @ part.to_world[:3, :3].T + part.to_world[:3, 3])
+        normals.append(np.where(flat[:, None], thinnest @ (part.to_world[:3, :3] / scale).T, 0.0))
+    return np.concatenate(points), np.concatenate(normals)
+
+
+# § How long a metre is: the scene's unit from a length that is known.
+
+
+def distance_m(first: Float64[np.ndarray, "3"], second: Float64[np.ndarray, "3"]) -> float:
+    """Distance between two points of the world."""
+    return float(np.linalg.norm(second - first))
+
+
+def set_length(scene: Scene, measured_m: float, true_m: float) -> Scene:
+    """Scale the world so that what measured so many metres is as long as it truly is.
+
+    Everything that stands in scene units grows along: layers, tracks, the ego's drive, camera paths. What is in metres
+    stays as it is: rig mounts and rain regions; the ground's height follows, and so do the times of a camera path that
+    has none of its own. Raises `ValueError` where a length is not above 0.
+    """
+    if not (measured_m > 0 and true_m > 0 and np.isfinite(measured_m * true_m)):
+        raise ValueError(f"Lengths must be above 0 m, not {measured_m:g} m and {true_m:g} m.")
+    factor = true_m / measured_m
+    ground = None if scene.ground_m is None else scene.ground_m * factor
+    metres_per_unit = scene.metres_per_unit * factor
+    path = scene.path
+    if path is not None and not path.is_timed:
+        path = paced(path, WALKING_M_S / metres_per_unit)
+    return replace(scene, metres_per_unit=metres_per_unit, ground_m=ground, path=path, unit_is_assumed=False)
+
+
+def set_camera_height(scene: Scene, height_m: float) -> Scene:
+    """Scale the world so that the scene's camera path is so high above its ground, at the median.
+
+    A camera on a car is where one knows how high: photogrammetry of a drive gets its metre from that. Raises
+    `ValueError` where path or ground aren't known, or the path is not above the ground.
+    """
+    if scene.path is None or scene.ground_m is None:
+        lacking = "camera path" if scene.path is None else "known height of the ground: level it first"
+        raise ValueError(f"The scene has no {lacking}.")
+    up = scene.scene_to_world[2]
+    above_m = float(np.median(scene.path.positions @ up[:3] + up[3])) - scene.ground_m
+    if not above_m > 0:
+        raise ValueError(f"The camera path is {-above_m:.3g} m below the ground: which way is up must be wrong.")
+    return set_length(scene, above_m, height_m)

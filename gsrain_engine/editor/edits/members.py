@@ -1,0 +1,94 @@
+"""What edits of members have in common: who may be edited, and what follows a member that gets another key."""
+
+import re
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
+
+from ...scene.flags import UNMARKED, Mask
+from ...scene.scene import Actor, Layer, Scene
+
+Members = tuple[Layer | Actor, ...]
+
+
+def is_editable(member: Layer | Actor) -> bool:
+    """Whether selection and edits take it: it can be seen and is not locked."""
+    return member.visible and not member.locked
+
+
+def found(scene: Scene, key: str) -> Layer | Actor:
+    """Find a member; raises `ValueError` where there is none."""
+    try:
+        return scene.member(key)
+    except KeyError:
+        raise ValueError(f"There is no {key!r} in the scene.") from None
+
+
+def unlocked(scene: Scene, key: str) -> Layer | Actor:
+    """Find a member that may be edited, visible or not; raises `ValueError` where there is none or it is locked."""
+    member = found(scene, key)
+    if member.locked:
+        raise ValueError(f"{member.name} is locked.")
+    return member
+
+
+def with_members(scene: Scene, members: Members) -> Scene:
+    """Return the scene with other members; layers and actors each stay in the order given."""
+    return replace(
+        scene,
+        layers=tuple(each for each in members if isinstance(each, Layer)),
+        actors=tuple(each for each in members if isinstance(each, Actor)),
+    )
+
+
+def edited(scene: Scene, edit: Callable[[Layer | Actor], Layer | Actor]) -> Scene:
+    """Let every member that may be edited go through a function; the very same scene where nothing changed."""
+    members = tuple(edit(each) if is_editable(each) else each for each in scene.members)
+    unchanged = all(new is old for new, old in zip(members, scene.members, strict=True))
+    return scene if unchanged else with_members(scene, members)
+
+
+def with_selections(scene: Scene, change: Callable[[Mapping[str, Mask]], Mapping[str, Mask]]) -> Scene:
+    """Let each selection set of a scene go through a function."""
+    return replace(scene, selections={name: change(masks) for name, masks in scene.selections.items()})
+
+
+def named(member: Layer | Actor, name: str) -> Layer | Actor:
+    return replace(member, name=name) if isinstance(member, Layer) else replace(member, id=name)
+
+
+def names(scene: Scene, like: Layer | Actor) -> set[str]:
+    return {each.name for each in scene.members if type(each) is type(like)}
+
+
+def behind(scene: Scene, key: str, added: Members) -> Members:
+    at = next((i for i, each in enumerate(scene.members) if each.key == key), len(scene.members) - 1)
+    return (*scene.members[: at + 1], *added, *scene.members[at + 1 :])
+
+
+# § Names of members: no two layers share one, nor do two actors.
+
+
+def unique_name(name: str, taken: Collection[str]) -> str:
+    """Return `name`, or with the first number that makes it unique: "road", "road 2", "road 3"."""
+    if name not in taken:
+        return name
+    stem = re.sub(r" \d+$", "", name) or name
+    number = 2
+    while f"{stem} {number}" in taken:
+        number += 1
+    return f"{stem} {number}"
+
+
+# § New Gaussians for the members of a scene, from another version of it.
+
+
+def with_gaussians_of(scene: Scene, other: Scene) -> Scene:
+    """Return the scene with the Gaussians of another version of it; what only one of them has stays as it is."""
+    given = {each.key: each.gaussians for each in other.members}
+    wet = {each.key: each.wet_sh for each in other.members}
+    for each in scene.members:
+        new = given.get(each.key, each.gaussians)
+        marks = each.marks if len(new) == len(each.gaussians) else UNMARKED
+        wet_sh = wet[each.key] if each.key in given else each.wet_sh
+        scene = scene.with_member(each.key, gaussians=new, wet_sh=wet_sh, marks=marks)
+    return scene

@@ -1,0 +1,233 @@
+"""Moves by a similarity of the world: a whole member, or what is selected. `moving` shows one while it is dragged."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+from jaxtyping import Float32, Float64
+
+from ...scene.flags import Marks, Mask, union
+from ...scene.gaussians import Gaussians, rotate_sh, scene_cache
+from ...scene.geometry import quaternion_product, quaternions_from_matrices
+from ...scene.scene import Actor, Layer, Scene
+from .actors import moved_actor
+from .members import edited, is_editable, unlocked
+
+Similarity = Float64[np.ndarray, "4 4"]
+
+
+def move_member(scene: Scene, key: str, delta: Similarity) -> Scene:
+    """Move a layer, or an actor with its whole track, by a similarity of the world (metres, z up).
+
+    Raises `ValueError` where there is no such member or it is locked.
+    """
+    member, way = unlocked(scene, key), _in_scene(scene, delta)
+    if isinstance(member, Layer):
+        return scene.with_member(key, to_scene=way @ member.to_scene)
+    there = moved_actor(member, way)
+    return scene.with_member(key, track=there.track, gaussians=there.gaussians, size_lwh=there.size_lwh)
+
+
+def move_selected(scene: Scene, delta: Similarity, time_s: float = 0.0) -> Scene:
+    """Move the selected Gaussians by a similarity of the world; those of actors as they stand at a time.
+
+    Only arrays that change are made anew: a shift leaves scales, quaternions and harmonics the very same.
+    """
+    way = _in_scene(scene, delta)
+
+    def placed(member: Layer | Actor) -> Layer | Actor:
+        to_scene = member.way(time_s)
+        if to_scene is None or not member.marks.selected:
+            return member
+        own = np.linalg.inv(to_scene) @ way @ to_scene
+        wet_sh = member.wet_sh if member.wet_sh is None else _partly_turned(member.wet_sh, member.marks.selected, own)
+        return replace(member, gaussians=_partly_moved(member.gaussians, member.marks.selected, own), wet_sh=wet_sh)
+
+    return edited(scene, placed)
+
+
+def moving(scene: Scene, key: str | None, delta: Similarity, time_s: float = 0.0) -> Scene:
+    """What a scene looks like while a member, or with None what is selected, is dragged by a similarity of the world.
+
+    It shares all arrays with the scene, so it is made at once for any number of Gaussians: it is for the picture, and
+    what is dragged stands in a layer of its own.
+    """
+    if key is not None:
+        return move_member(scene, key, delta)
+    way, dragged = _in_scene(scene, delta), list[Layer]()
+    for member in scene.members:
+        to_scene = member.way(time_s)
+        if to_scene is not None and is_editable(member) and member.marks.selected:
+            dragged.append(_dragged(member, way @ to_scene))
+    at_rest = edited(scene, _without_selection)
+    return replace(at_rest, layers=(*at_rest.layers, *dragged))
+
+
+def pivot(scene: Scene, key: str | None, time_s: float = 0.0) -> Float64[np.ndarray, "3"] | None:
+    """Where a member, or with None what is selected, is taken hold of: the middle of its centres, in the world.
+
+    None where there is nothing to take hold of. The middle is the median along each axis, which strays can't pull.
+    """
+    places: list[Float64[np.ndarray, "n 3"]] = []
+    for member in scene.members:
+        to_scene = member.way(time_s)
+        wanted = member.key == key if key is not None else is_editable(member) and bool(member.marks.selected)
+        if to_scene is None or not wanted or not len(member.gaussians):
+            continue
+        if isinstance(member, Actor) and key is not None:
+            return (scene.scene_to_world @ to_scene)[:3, 3]
+        to_world = scene.scene_to_world @ to_scene
+        middle = _middle(member.gaussians, None if key is not None else member.marks.selected)
+        places.append((to_world[:3, :3] @ middle + to_world[:3, 3])[None])
+    return np.concatenate(places).mean(axis=0) if places else None
+
+
+_MIDDLE_SAMPLES = 100_000
+
+
+@scene_cache(maxsize=32)
+def _middle(gaussians: Gaussians, selected: Mask | None) -> Float64[np.ndarray, "3"]:
+    means = gaussians.means if selected is None else gaussians.means[selected.indices]
+    return np.median(means[:: -(-len(means) // _MIDDLE_SAMPLES) or 1], axis=0).astype(np.float64)
+
+
+def _in_scene(scene: Scene, delta: Similarity) -> Similarity:
+    """A similarity of the world as one of the scene's units and axes."""
+    return np.linalg.inv(scene.scene_to_world) @ delta @ scene.scene_to_world
+
+
+def _partly_moved(gaussians: Gaussians, selected: Mask, similarity: Similarity) -> Gaussians:
+    where = selected.indices
+    scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+    means, scales, quaternions = gaussians.means.copy(), gaussians.scales, gaussians.quaternions
+    means[where] = means[where].astype(np.float64) @ similarity[:3, :3].T + similarity[:3, 3]
+    if abs(scale - 1) > 1e-9:
+        scales = scales.copy()
+        scales[where] *= np.float32(scale)
+    rotation = _turn_of(similarity)
+    if rotation is not None:
+        turn = np.broadcast_to(quaternions_from_matrices(rotation), (len(where), 4))
+        quaternions = quaternions.copy()
+        quaternions[where] = quaternion_product(turn, quaternions[where].astype(np.float64))
+    sh = _partly_turned(gaussians.sh, selected, similarity)
+    return Gaussians(means, scales, quaternions, gaussians.opacities, sh)
+
+
+def _partly_turned(
+    sh: Float32[np.ndarray, "n k 3"], selected: Mask, similarity: Similarity
+) -> Float32[np.ndarray, "n k 3"]:
+    """Harmonics with those of some Gaussians turned; the very same where nothing turns."""
+    rotation = _turn_of(similarity)
+    if rotation is None or sh.shape[1] == 1:
+        return sh
+    where, turned = selected.indices, sh.copy()
+    turned[where] = rotate_sh(sh[where], rotation)
+    return turned
+
+
+def _turn_of(similarity: Similarity) -> Float64[np.ndarray, "3 3"] | None:
+    """The rotation of a similarity; None where it is none to speak of."""
+    scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+    is_straight = np.allclose(similarity[:3, :3], scale * np.eye(3), rtol=0, atol=1e-9 * scale)
+    return None if is_straight else similarity[:3, :3] / scale
+
+
+def _without_selection(member: Layer | Actor) -> Layer | Actor:
+    marks = member.marks
+    if not marks.selected:
+        return member
+    hidden = marks.selected if marks.hidden is None else union(marks.hidden, marks.selected)
+    return replace(member, marks=Marks(marks.selected, hidden, marks.deleted))
+
+
+def _dragged(member: Layer | Actor, to_scene: Similarity) -> Layer:
+    marks = member.marks
+    assert marks.selected is not None
+    others = _complement(marks.selected)
+    return Layer(
+        f"{member.key} dragged",
+        member.gaussians,
+        member.kind if isinstance(member, Layer) else "background",
+        to_scene,
+        opacity=member.opacity,
+        grading=member.grading,
+        marks=Marks(marks.selected, others if marks.hidden is None else union(marks.hidden, others), marks.deleted),
+        wet_sh=member.wet_sh,
+    )
+
+
+@scene_cache(maxsize=64)
+def _complement(mask: Mask) -> Mask:
+    return ~mask  # the very same value each time: renderers know arrays by their identity
+
+
+# § Where a layer lies as numbers a person edits: position, turn, scale in the world.
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A similarity of the world, taken apart."""
+
+    position_m: tuple[float, float, float]
+    """Where the origin of the layer's own axes lies."""
+    turn_deg: tuple[float, float, float]
+    """About the world's x, y and z, one after the other."""
+    scale: float
+    """Factor of size."""
+
+    @property
+    def matrix(self) -> Float64[np.ndarray, "4 4"]:
+        matrix = np.eye(4)
+        matrix[:3, :3] = (
+            self.scale * scipy.spatial.transform.Rotation.from_euler("xyz", self.turn_deg, degrees=True).as_matrix()
+        )
+        matrix[:3, 3] = self.position_m
+        return matrix
+
+
+def pose_of(matrix: Float64[np.ndarray, "4 4"]) -> Pose:
+    """Take a similarity apart; where the turn about y is a right angle, the one about z is 0."""
+    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+    rotation = scipy.spatial.transform.Rotation.from_matrix(matrix[:3, :3] / scale)
+    sine = (rotation.as_matrix())[2, 0]
+    if abs(sine) > 1 - 1e-12:  # SciPy would warn: two of the angles turn about the same axis
+        m = rotation.as_matrix()
+        turn = (float(np.degrees(np.arctan2(-sine * m[0, 1], m[1, 1]))), float(-90.0 * np.sign(sine)), 0.0)
+    else:
+        x, y, z = rotation.as_euler("xyz", degrees=True).tolist()
+        turn = (x, y, z)
+    x, y, z = matrix[:3, 3].tolist()
+    return Pose((x, y, z), turn, scale)
+
+
+def layer_pose(scene: Scene, key: str, time_s: float = 0.0) -> Pose | None:
+    """How far a member was moved from where its file, or its track, has it in a world of the scene's axes.
+
+    For a layer that was never moved: position 0, turn 0, scale 1. An actor's is its pose at a time in the world, with
+    scale 1; None while it is not there.
+    """
+    member, to_world = scene.member(key), scene.scene_to_world
+    if key.startswith("layers/"):
+        way = member.way(time_s)
+        assert way is not None
+        return pose_of(to_world @ way @ np.linalg.inv(to_world))
+    way = member.way(time_s)
+    if way is None:
+        return None
+    pose = to_world @ way
+    pose[:3, :3] /= scene.metres_per_unit
+    return pose_of(pose)
+
+
+def set_layer_pose(scene: Scene, key: str, pose: Pose, time_s: float = 0.0) -> Scene:
+    """Move a member to where `layer_pose` gives these numbers; an actor with its whole track.
+
+    Raises `ValueError` where there is none, it is locked, it is not there at the time, or the scale is not above 0.
+    """
+    member = unlocked(scene, key)
+    if not pose.scale > 0:
+        raise ValueError(f"The scale of {member.name} must be above 0, not {pose.scale:g}.")
+    before = layer_pose(scene, key, time_s)
+    if before is None:
+        raise ValueError(f"{member.name} is not there at {time_s:.2f} s.")
+    return move_member(scene, key, pose.matrix @ np.linalg.inv(before.matrix))

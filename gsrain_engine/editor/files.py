@@ -1,0 +1,746 @@
+"""Opening, saving and keeping the document of a session, and what has to be asked on the way."""
+
+import logging
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import msgspec
+
+from ..datasets.open_capture import capture_format
+from ..rain.settings import load_preset
+from ..safe_io.limits import read_file
+from ..safe_io.text_files import MOST_BYTES, printable
+from ..scene.files import SceneFormatError, locked, whole_file
+from ..scene.formats.registry import format_of, writable_suffixes
+from ..scene.formats.scene_files import names_scene_folder, write_scene
+from ..scene.formats.scene_folder import SCENE_FILE, KnownFiles
+from ..scene.open import folder_to_read, is_built_in, open_to_draw, scene_folder_of
+from ..scene.progress import Progress
+from ..scene.scene import Scene
+from ..scene.transforms import left_out_when_flat
+from .autosave import Autosave, Autosaved, DiskStamp, Entered, has_changed, saved_scene, stamp_of
+from .document import Document
+from .edits.layers import import_scene
+from .jobs.job import BackgroundWork
+from .jobs.process import JobState
+from .notifications import Answer, Question, nothing, told
+from .preferences import state_folder
+from .services import Desk
+from .viewport_state import StagedScene
+
+logger = logging.getLogger("gsrain")
+
+# § Reading the scene that becomes a session's document.
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """A scene that was read, and what is known about where it came from."""
+
+    scene: Scene
+    source: str
+    home: Path | None
+    stamp: DiskStamp | None
+    known: KnownFiles
+    recovered: Autosaved | None = None
+
+
+class CaptureNamedError(SceneFormatError):
+    """A capture where a scene should be."""
+
+    def __init__(self, path: Path, kind: str) -> None:
+        """`kind` is the name of its row in the table of captures."""
+        super().__init__(path, f"this is a capture ({kind}), not a scene; File > Open a capture shows it")
+        self.path, self.kind = path, kind
+
+
+class SceneFiles:
+    """The files of one session. Reading and writing happens in `thread`, everything else on the main thread."""
+
+    def __init__(self, session: Desk, enter: Callable[[Opened], None], thread: ThreadPoolExecutor) -> None:
+        """`enter` goes to another document."""
+        self._session, self._enter = session, enter
+        self._thread = thread
+        self.source: str | None = None
+        """What was opened last, as it was named."""
+        self.home: Path | None = None
+        """The scene folder that the document came from or was saved to: where Save writes."""
+        self.recent: list[Path] = recent_files()
+        """Scenes that were used last, the latest first."""
+        self.place_wanted: Callable[[Path], None] | None = None
+        """Set while somebody has to be asked where to save; called with the answer."""
+        self.recovery = Recovery(session, self.recover, self.close_scene, thread)
+        self._known = KnownFiles()
+        self._stamp: DiskStamp | None = None
+        self._saved: Document = session.history.present
+        self._opening: tuple[str, Future[Opened]] | None = None
+        self._arriving: Opened | None = None
+        self._saving: _Saving | None = None
+        self._next_saving: Callable[[], None] | None = None
+        self._importing: list[_Importing] = []
+        self._exporting: list[_Exporting] = []
+        self._recent: Future[list[Path]] | None = None
+
+    # What is known
+
+    @property
+    def has_changes(self) -> bool:
+        """Whether the document is another than the one that was opened or saved."""
+        return self._session.history.present is not self._saved
+
+    @property
+    def known(self) -> KnownFiles:
+        """Which files hold which Gaussians; for the thread that reads and writes."""
+        return self._known
+
+    @property
+    def is_opening(self) -> bool:
+        return self._opening is not None
+
+    @property
+    def busy(self) -> str | None:
+        """What is being read or written for a person who waits for it; None when nothing is."""
+        if self._opening is not None:
+            return f"Opening {self._opening[0]}"
+        if self._importing:
+            return f"Importing {self._importing[0].path}"
+        if self._saving is not None:
+            return f"Saving {self._saving.target}"
+        return f"Exporting {self._exporting[0].target}" if self._exporting else None
+
+    @property
+    def work(self) -> list[BackgroundWork]:
+        """Reading and writing that would be lost if the document went, or the program ended, now."""
+        return [*self._importing, *([self._saving] if self._saving is not None else []), *self._exporting]
+
+    @property
+    def pending(self) -> list[Future[Any]]:
+        """Everything that goes on in the thread."""
+        opening = [self._opening[1]] if self._opening is not None else []
+        saving = [self._saving.future] if self._saving is not None else []
+        recent = [self._recent] if self._recent is not None else []
+        files = [*(each.future for each in self._importing), *(each.future for each in self._exporting)]
+        return [*opening, *saving, *recent, *files, *self.recovery.pending]
+
+    # Opening
+
+    def open(self, path: str) -> None:
+        """Go to another scene, once a person has said what becomes of unsaved changes."""
+        self.when_safe(f"open {Path(path).name or path}", lambda: self.open_now(path))
+
+    def open_now(self, path: str) -> None:
+        """Read a scene in the background and go to it; of several, the one that was asked for last."""
+        self._begin_opening(path, lambda: read_opened(path))
+
+    def recover(self, autosaved: Autosaved) -> None:
+        """Go on with what a process that died has kept; its changes are still to be saved."""
+        self._begin_opening(autosaved.about.name, lambda: read_kept(autosaved))
+
+    def go_on_at(self, place: Path) -> None:
+        """Go on with what the window before this one has kept; nobody is asked, its changes are still to be saved."""
+        self._begin_opening("what was not saved", lambda: read_kept(self.recovery.left_at(place)))
+
+    def import_from(self, path: str) -> None:
+        """Read a scene in the background and add its layers and actors to the present one."""
+        logger.info("Importing %s", path)
+        self._session.problem = None
+        self._importing.append(_Importing(f"Import {Path(path).name}", self._thread.submit(read_opened, path), path))
+
+    def revert(self) -> None:
+        """Go back to what is on the disk."""
+        source = str(self.home) if self.home is not None else self.source
+        if source is None:
+            return
+        title, text = "Revert", f"All changes of {self._session.scene.name} since it was last saved are lost."
+        back = Answer("Revert", lambda: self._read_again(source), "Read the scene again.")
+        if self.has_changes:
+            self._session.questions.ask(Question(title, text, (back, _CANCEL)))
+        else:
+            self._read_again(source)
+
+    def close_scene(self) -> None:
+        """Go to an empty scene."""
+        empty = Opened(Scene("no scene"), "", None, None, KnownFiles())
+        self.when_safe("close the scene", lambda: self._enter(empty))
+
+    def when_safe(self, what: str, act: Callable[[], None], *, ends_program: bool = False) -> None:
+        """Do what takes the place of the document or ends the program; with work or unsaved changes, ask first.
+
+        Of jobs, those count that end with it: all where it ends the program.
+        """
+        self._session.when_idle(
+            self._ended_work(ends_program),
+            what,
+            lambda: self._when_saved(what, lambda: self._without_results(what, act)),
+        )
+
+    def _ended_work(self, ends_program: bool = False) -> list[BackgroundWork]:
+        jobs = [each for each in self._session.jobs if ends_program or each.ends_with_scene]
+        return [*jobs, *self.work]
+
+    def _read_again(self, source: str) -> None:
+        self._session.when_idle(self._ended_work(), "revert", lambda: self.open_now(source))
+
+    def _when_saved(self, what: str, act: Callable[[], None]) -> None:
+        if not self.has_changes:
+            act()
+            return
+        name = self._session.scene.name
+        answers = (
+            Answer("Save", lambda: self.save_then(act), f"Save {name}, then {what}."),
+            Answer("Don't save", act, f"Lose the changes and {what}."),
+            _CANCEL,
+        )
+        self._session.questions.ask(
+            Question("Unsaved changes", f"Save the changes of {name} before you {what}?", answers)
+        )
+
+    def _without_results(self, what: str, act: Callable[[], None]) -> None:
+        """Do it, once a person agrees to lose the roll-outs that were not saved."""
+        results = self._session.loose_results
+        if not results:
+            act()
+            return
+        one = len(results) == 1
+        listed = "".join(f"\n  -  {each}" for each in results)
+        text = (
+            f"{'This roll-out was' if one else 'These roll-outs were'} not saved, and {'is' if one else 'are'} lost "
+            f"if you {what}:\n{listed}\n\nTo save one, choose Save as... in the Drive panel."
+        )
+        lose = Answer(f"Lose {'it' if one else 'them'}", act, f"Lose the roll-outs and {what}.")
+        question = Question("Roll-outs that were not saved", text, (lose, _CANCEL), enter_answers=False)
+        self._session.questions.ask(question)
+
+    def enter(self, opened: Opened, document: Document) -> None:
+        """Take note that the session went to a document that was opened."""
+        self.source, self.home, self._known = opened.source or None, opened.home, opened.known
+        self._stamp, self._saved = opened.stamp, document
+        recovered = opened.recovered.place if opened.recovered is not None else None
+        if recovered is not None:
+            self._saved = replace(document)  # another value: there are changes
+        self.recovery.enter(opened.home, document, recovered)
+        if opened.source and not is_built_in(opened.source) and recovered is None:
+            self._recent = self._thread.submit(add_recent_file, Path(opened.source))
+
+    # Saving
+
+    def save(self) -> None:
+        """Save where the document came from; where that is no scene folder, ask for a place."""
+        self.save_then(nothing)
+
+    def save_then(self, act: Callable[[], None]) -> None:
+        """Save as `save` does, and do something once that has succeeded."""
+        if self.home is not None:
+            self.save_to(self.home, act)
+        else:
+            self.place_wanted = lambda path: self.save_as(path, act)
+
+    def save_to(self, path: Path, act: Callable[[], None] = nothing) -> None:
+        """Save to a scene folder, unless somebody else has changed what is there: then ask first."""
+        home, path = self.home, path.parent if path.name == SCENE_FILE else path
+        if not names_scene_folder(path):
+            self._session.questions.ask(self._folder_question(path, act))
+            return
+        if home is None or path.resolve() != home or not has_changed(home, self._stamp):
+            self._begin_saving(path, act)
+            return
+
+        def elsewhere() -> None:
+            self.place_wanted = lambda chosen: self.save_as(chosen, act)
+
+        answers = (
+            Answer("Save as...", elsewhere, "Save to another place; both versions stay."),
+            Answer("Overwrite", lambda: self._begin_saving(path, act), "What the other program has saved is lost."),
+            Answer("Reload", lambda: self._read_again(str(home)), "Read what is on the disk; lose the changes here."),
+            _CANCEL,
+        )
+        text = f"{home} was changed by another program or window since it was opened or saved here."
+        self._session.questions.ask(Question("Changed on disk", text, answers))
+
+    def save_as(self, path: Path, act: Callable[[], None] = nothing) -> None:
+        """Save to another place; where another scene folder stands there, ask first."""
+        other = scene_folder_of(path)
+        if other is None or other == self.home:
+            self.save_to(path, act)
+            return
+        replacing = Answer("Replace", lambda: self.save_to(path, act), "The scene that stands there now is lost.")
+        text = f"There is another scene in {other}. Replace it?"
+        self._session.questions.ask(Question("Replace a scene", text, (replacing, _CANCEL)))
+
+    def export_to(self, path: Path) -> None:
+        """Write one file of what can be seen, a copy: the document stays as unsaved, and where, as it is.
+
+        Before, a person hears what the file leaves out, and which one it replaces.
+        """
+        try:
+            row = format_of(path)
+        except SceneFormatError as error:  # of an installed package
+            self._session.problem = str(error)
+            return
+        if row is None or row.write is None or path.is_dir():
+            *first, last = writable_suffixes()
+            kinds = f"{', '.join(first)} or {last}"
+            self._session.problem = f"{path}: Export writes one file, whose name ends in {kinds}."
+            return
+        scene = saved_scene(self._session)
+        if self._session.rain == load_preset("clear"):
+            scene = replace(scene, rain=None)
+        missing = left_out_when_flat(scene)
+        if not row.keeps_harmonics and any(each.gaussians.sh_degree for each in scene.members if each.visible):
+            missing.append(f"how colors depend on the direction of view ({row.suffix} has no place for it)")
+        if not missing and not path.exists():
+            self._begin_exporting(scene, path)
+            return
+        lines = [f"{path.name} will hold the Gaussians that can be seen, as they are at 0 s."]
+        if missing:
+            lines.append("\nIt leaves out:\n" + "\n".join(f"  -  {each}" for each in missing))
+            lines.append("\nThe document itself stays as it is; Save keeps all of it, in a scene folder.")
+        if path.exists():
+            lines.append(f"\nThe {path.name} that is there already is replaced.")
+        yes = Answer("Export", lambda: self._begin_exporting(scene, path), f"Write {path}.")
+        self._session.questions.ask(Question(f"Export {path.name}", "\n".join(lines), (yes, _CANCEL)))
+
+    def _folder_question(self, path: Path, act: Callable[[], None]) -> Question:
+        folder = path.with_name(path.name.removesuffix(path.suffix))
+        text = (
+            f"{path.name} names a single file. Save writes a scene folder, which keeps everything; "
+            "Export writes a file of what can be seen."
+        )
+        into = Answer(f"Save as {folder.name}", lambda: self.save_as(folder, act), f"Write the scene folder {folder}.")
+        file = Answer("Export...", lambda: self.export_to(path), f"Write {path}; changes stay unsaved.")
+        return Question("Save writes a scene folder", text, (into, file, _CANCEL))
+
+    def _capture_question(self, named: CaptureNamedError) -> Question:
+        text = (
+            f"{named.path.name} is a capture ({named.kind}), not a scene: pictures, which the Capture panel shows "
+            "and makes a scene of. Open it there?"
+        )
+        show = Answer("Open the capture", lambda: self._session.captures.open(named.path), f"Read {named.path}.")
+        return Question("Open a capture", text, (show, _CANCEL))
+
+    def give_up(self) -> None:
+        """Take it that a person does not want the changes: nothing is kept of them."""
+        self._saved = self._session.history.present
+
+    # Over time
+
+    def offer_recovery(self) -> None:
+        """Look for what processes that died have kept, and ask what becomes of it."""
+        self.recovery.look(self.recent)
+
+    def poll(self) -> None:
+        """Take in what the thread has finished. Once a frame."""
+        if self._opening is not None and self._opening[1].done():
+            (path, opening), self._opening = self._opening, None
+            try:
+                self._arriving = opening.result()
+                self._session.stage(StagedScene(path, self._arriving.scene, is_opened=True))
+            except CaptureNamedError as error:
+                self._session.questions.ask(self._capture_question(error))
+            except Exception as error:  # whatever a file can do to its reader: the window lives on
+                self._session.problem = told(f"{path} can't be opened", error)
+                if Path(path) in self.recent and not Path(path).exists():
+                    self._recent = self._thread.submit(forget_recent_file, Path(path))
+        if self._saving is not None and self._saving.future.done():
+            saving, self._saving = self._saving, None
+            self._take_saved(saving)
+        if self._importing and self._importing[0].future.done():
+            self._take_imported(self._importing.pop(0))
+        if self._exporting and self._exporting[0].future.done():
+            self._take_exported(self._exporting.pop(0))
+        if self._recent is not None and self._recent.done():
+            recent, self._recent = self._recent, None
+            if recent.exception() is None:
+                self.recent = recent.result()
+        self.recovery.poll(self._saved, self._stamp, self._known)
+
+    def keep(self) -> None:
+        """Keep unsaved changes at once: the program is about to end, and nobody was asked."""
+        self.recovery.keep(self._saved, self._stamp, self._known)
+
+    def arrive(self, scene: Scene) -> Opened:
+        """What is known about a staged scene that was opened here."""
+        opened, self._arriving = self._arriving, None
+        return opened if opened is not None and opened.scene is scene else Opened(scene, "", None, None, KnownFiles())
+
+    def close(self) -> None:
+        """End: wait for what is being written. What is kept of unsaved changes goes, unless nobody was asked."""
+        if self._opening is not None:
+            self._opening[1].cancel()
+        self.recovery.close(is_saved=not self.has_changes)
+
+    def _begin_opening(self, label: str, read: Callable[[], Opened]) -> None:
+        if self._opening is not None:
+            self._opening[1].cancel()
+        logger.info("Opening %s", label)
+        self._session.problem = None
+        self._opening = label, self._thread.submit(read)
+
+    def _begin_saving(self, path: Path, act: Callable[[], None]) -> None:
+        if self._saving is not None:  # the newest is what counts
+            self._next_saving = lambda: self._begin_saving(path, act)
+            return
+        self._session.problem = None
+        scene, document, known = saved_scene(self._session), self._session.history.present, self._known
+        future = self._thread.submit(_write, scene, path, known)
+        self._saving = _Saving(f"Save {path.name}", future, path.resolve(), document, act)
+
+    def _begin_exporting(self, scene: Scene, path: Path) -> None:
+        self._session.problem = None
+        future = self._thread.submit(write_scene, scene, path)
+        self._exporting.append(_Exporting(f"Export {path.name}", future, path))
+
+    def _take_saved(self, saving: "_Saving") -> None:
+        again, self._next_saving = self._next_saving, None
+        try:
+            stamp = saving.future.result()
+        except Exception as error:
+            saving.state = "failed"
+            self._session.problem = told(f"{saving.target} can't be saved", error)
+            return
+        saving.state = "finished"
+        logger.info("Saved %s", saving.target)
+        self._saved = saving.document
+        self.recovery.forget()
+        if saving.target != self.home:
+            self.recovery.enter(saving.target, saving.document)
+        self.home, self.source, self._stamp = saving.target, str(saving.target), stamp
+        self._recent = self._thread.submit(add_recent_file, saving.target)
+        saving.act()
+        if again is not None:
+            again()
+
+    def _take_imported(self, importing: "_Importing") -> None:
+        if importing.state == "cancelled":
+            return
+        try:
+            other = importing.future.result().scene
+        except Exception as error:  # whatever a file can do to its reader: the window lives on
+            importing.state = "failed"
+            self._session.problem = told(f"{importing.path} can't be imported", error)
+        else:
+            importing.state = "finished"
+            self._session.edit(f"Import {other.name}", import_scene, other)
+            logger.info("Imported %s: %s Gaussians", importing.path, f"{other.gaussian_count:,}")
+
+    def _take_exported(self, exporting: "_Exporting") -> None:
+        try:
+            exporting.future.result()
+        except Exception as error:  # whatever a disk can do
+            exporting.state = "failed"
+            self._session.problem = told(f"{exporting.target} can't be exported", error)
+        else:
+            exporting.state = "finished"
+            logger.info("Exported %s", exporting.target)
+
+
+@dataclass(eq=False)
+class _FileWork:
+    """Reading or writing in the thread, as work to wait for; it has ended when its result is taken in."""
+
+    title: str
+    future: "Future[Any]"
+    state: JobState = field(default="running", init=False)
+    progress: Progress = field(default=Progress(0.0, ""), init=False)
+
+    def cancel(self) -> None:
+        """Leave the result; a file that is being written becomes whole all the same."""
+        self.state = "cancelled"
+
+
+@dataclass(eq=False)
+class _Importing(_FileWork):
+    path: str
+
+
+@dataclass(eq=False)
+class _Exporting(_FileWork):
+    target: Path
+
+
+@dataclass(eq=False)
+class _Saving(_FileWork):
+    target: Path
+    document: Document
+    act: Callable[[], None]
+
+
+_CANCEL = Answer("Cancel", nothing, "Change nothing.")
+
+
+def _write(scene: Scene, path: Path, known: KnownFiles) -> DiskStamp | None:
+    """Save; returns the state of the scene folder afterwards."""
+    write_scene(scene, path, known, in_drawing_order=True)
+    return stamp_of(path)
+
+
+def read_opened(path: str) -> Opened:
+    """Read what a person names, as `open_to_draw` does, and raise what that raises.
+
+    Raises `CaptureNamedError` where it is a capture instead.
+    """
+    try:
+        return _read(path)
+    except SceneFormatError:
+        kind = capture_format(path) if scene_folder_of(Path(path)) is None else None
+        if kind is None:
+            raise
+        raise CaptureNamedError(Path(path), kind.name) from None
+
+
+def _read(path: str) -> Opened:
+    known = KnownFiles()
+    home = folder_to_read(Path(path)) if not is_built_in(path) else None
+    stamp = stamp_of(home) if home is not None else None  # before reading: a change meanwhile is noticed
+    source = path if is_built_in(path) else str(home or Path(path).absolute())
+    return Opened(open_to_draw(path, known), source, home, stamp, known)
+
+
+def read_kept(autosaved: Autosaved) -> Opened:
+    """Read what an autosave has kept; raises what `open_to_draw` raises."""
+    known, about = KnownFiles(), autosaved.about
+    scene = open_to_draw(str(autosaved.scene), known)
+    home = about.folder
+    return Opened(scene, str(home or ""), home, about.stamp, known, autosaved)
+
+
+# § The scenes that were opened or saved last, in a file that several windows share.
+
+MOST = 12
+
+
+class _Recent(msgspec.Struct):
+    paths: list[str] = []
+
+
+def recent_files() -> list[Path]:
+    """The scenes that were used last, the latest first."""
+    try:
+        return [Path(each) for each in msgspec.json.decode(read_file(_file(), MOST_BYTES), type=_Recent).paths[:MOST]]
+    except FileNotFoundError:
+        return []
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        logger.warning("%s: the list of recent scenes can't be read: %s", _file(), error)
+        return []
+
+
+def add_recent_file(path: Path) -> list[Path]:
+    """Put a scene to the head of the list, whatever other windows have put there meanwhile; returns the list.
+
+    Raises:
+        OSError: When the list can't be written.
+    """
+    return _rewritten(path.absolute(), at_head=True)
+
+
+def forget_recent_file(path: Path) -> list[Path]:
+    """Take a scene off the list; returns the list.
+
+    Raises:
+        OSError: When the list can't be written.
+    """
+    return _rewritten(path.absolute(), at_head=False)
+
+
+def _rewritten(path: Path, *, at_head: bool) -> list[Path]:
+    folder = state_folder()
+    folder.mkdir(parents=True, exist_ok=True)
+    with locked(folder):
+        others = [each for each in recent_files() if each != path]
+        paths = [path, *others][:MOST] if at_head else others
+        with whole_file(_file()) as beside:
+            names = [str(each).encode(errors="replace").decode() for each in paths]
+            beside.write_bytes(msgspec.json.encode(_Recent(names)))
+    return paths
+
+
+def _file() -> Path:
+    return state_folder() / "recent.json"
+
+
+# § What screenshots are called.
+
+
+def new_screenshot(folder: Path) -> Path:
+    """Choose a name in a folder by the present date and time; one that is not taken yet."""
+    name = f"gsrain_{datetime.now():%Y-%m-%d_%H-%M-%S}"
+    taken = {each.name for each in folder.glob(f"{name}*.png")}
+    chosen, number = f"{name}.png", 1
+    while chosen in taken:
+        number += 1
+        chosen = f"{name}_{number}.png"
+    return folder / chosen
+
+
+# § When a session keeps its unsaved document, and what it asks about documents that others have left behind.
+
+
+class Recovery:
+    """The autosave of a session: written in `thread`, everything else on the main thread."""
+
+    def __init__(
+        self,
+        session: Desk,
+        recover: Callable[[Autosaved], None],
+        close_scene: Callable[[], None],
+        thread: ThreadPoolExecutor,
+    ) -> None:
+        """`recover` goes on with what was kept, `close_scene` goes to an empty window."""
+        self._session, self._recover, self._close_scene = session, recover, close_scene
+        self._thread = thread
+        self.now: Callable[[], float] = monotonic
+        """Seconds."""
+        self._autosave = Autosave()
+        self._home: Path | None = None
+        self._kept: Document = session.history.present
+        self._changed_at: float | None = None
+        self._keeping: Future[None] | None = None
+        self._entering: Future[Entered] | None = None
+        self._looking: Future[list[Autosaved]] | None = None
+        self._has_failed = False
+        self._put_off: set[Path] = set()
+
+    @property
+    def pending(self) -> list[Future[Any]]:
+        """What goes on in the thread."""
+        return [each for each in (self._keeping, self._entering, self._looking) if each is not None]
+
+    def enter(self, home: Path | None, document: Document, recovered: Path | None = None) -> None:
+        """Go to a document that came from a scene folder or is now saved in it; `recovered` is where it was kept."""
+        self._home, self._kept, self._changed_at = home, document, None
+        self._entering = self._thread.submit(self._autosave.enter, home, recovered)
+
+    def forget(self) -> None:
+        """Remove what was kept: the document is saved."""
+        self._changed_at = None
+        self._thread.submit(self._autosave.remove)
+
+    def look(self, homes: Sequence[Path]) -> None:
+        """Look for what processes that died have kept, of these scene folders and of none, and ask about it."""
+        self._looking = self._thread.submit(self._autosave.abandoned, tuple(homes))
+
+    def poll(self, saved: Document, stamp: DiskStamp | None, known: KnownFiles) -> None:
+        """Take in what the thread has finished, and keep a document that was changed a while ago. Once a frame.
+
+        `saved` is the document as it is on the disk, in the state `stamp`, in the files that `known` knows.
+        """
+        if self._entering is not None and self._entering.done():
+            entering, self._entering = self._entering, None
+            self._take_entered(entering)
+        if self._looking is not None and self._looking.done():
+            looking, self._looking = self._looking, None
+            if looking.exception() is None:
+                self._offer(looking.result())
+        if self._keeping is not None and self._keeping.done():
+            keeping, self._keeping = self._keeping, None
+            self._take_kept(keeping, saved)
+        self._keep(saved, stamp, known)
+
+    def keep(self, saved: Document, stamp: DiskStamp | None, known: KnownFiles) -> None:
+        """Keep a document that was changed at once: the program is about to end, and nobody was asked."""
+        present = self._session.history.present
+        if present not in (saved, self._kept):
+            self._begin_keeping(present, stamp, known)
+
+    @property
+    def kept(self) -> Path | None:
+        """Where the document is kept, to be asked after the end; None where it is not."""
+        try:
+            if self._keeping is not None:
+                self._keeping.result()
+        except Exception as error:  # whatever a disk can do
+            told("The autosave can't be written", error)
+        return self._autosave.place
+
+    def left_at(self, place: Path) -> Autosaved:
+        """What the window before this one has kept, to go on with unasked; for the thread.
+
+        Raises:
+            OSError: When it is gone, or somebody else's.
+        """
+        self._put_off.add(place)
+        found = self._autosave.found(place)
+        if found is None:
+            raise OSError(f"{place}: nothing is kept there any more")
+        return found
+
+    def close(self, *, is_saved: bool) -> None:
+        """End; what is kept of a document that is not saved stays for the next start."""
+        if is_saved:
+            self._thread.submit(self._autosave.remove)
+        self._thread.submit(self._autosave.close)
+
+    def _keep(self, saved: Document, stamp: DiskStamp | None, known: KnownFiles) -> None:
+        present = self._session.history.present
+        if present in (saved, self._kept) or self._session.is_opening:
+            self._changed_at = None
+            return
+        if self._changed_at is None:
+            self._changed_at = self.now()
+        if self._keeping is not None or self.now() - self._changed_at < self._session.preferences.autosave_s:
+            return
+        self._begin_keeping(present, stamp, known)
+
+    def _begin_keeping(self, present: Document, stamp: DiskStamp | None, known: KnownFiles) -> None:
+        self._kept, self._changed_at = present, None
+        self._keeping = self._thread.submit(self._autosave.write, saved_scene(self._session), stamp, known)
+
+    def _take_kept(self, keeping: "Future[None]", saved: Document) -> None:
+        try:
+            keeping.result()
+        except Exception as error:  # whatever a disk can do: it is tried again, and told of once
+            self._kept = saved
+            if not self._has_failed:
+                self._session.problem = told("The autosave can't be written", error)
+            self._has_failed = True
+        else:
+            self._has_failed = False
+
+    def _take_entered(self, entering: "Future[Entered]") -> None:
+        try:
+            entered = entering.result()
+        except OSError as error:
+            told("The autosave has no place", error)
+            return
+        if not entered.is_alone:
+            text = (
+                f"{self._home} is open in another window of the program. "
+                "The one that saves last overwrites what the other has saved."
+            )
+            away = Answer("Close it here", self._close_scene, "Go to an empty window.")
+            self._session.questions.ask(
+                Question("Open twice", text, (Answer("Go on", nothing, "Keep both open."), away))
+            )
+        elif entered.found is not None and entered.found.place not in self._put_off:
+            self._offer([entered.found])
+
+    def _offer(self, found: list[Autosaved]) -> None:
+        """Ask about the first; about the next once that is answered, unless a person goes on with it."""
+        found = [each for each in found if each.place not in self._put_off]
+        if not found:
+            return
+        first, *others = found
+        self._put_off.add(first.place)
+
+        def drop() -> None:
+            self._thread.submit(self._autosave.discard, first.place)
+            self._offer(others)
+
+        when, about = datetime.fromtimestamp(first.saved_at), first.about
+        home = about.folder
+        where = f"Scene folder: {printable(home)}" if home is not None else "It was never saved to a place of its own."
+        text = (
+            f"The program ended before the last changes of {about.name} were saved.\n"
+            f"They were kept on {when:%A %d %B %Y at %H:%M:%S}.\n\n{where}"
+        )
+        answers = (
+            Answer("Recover", lambda: self._recover(first), "Go on with them; saving is up to you."),
+            Answer("Discard", drop, "Remove them; the scene stays as it was last saved."),
+            Answer("Later", lambda: self._offer(others), "Leave them; the next start asks again."),
+        )
+        self._session.questions.ask(Question("Recover unsaved changes", text, answers))

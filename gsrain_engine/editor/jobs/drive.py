@@ -1,0 +1,296 @@
+"""The job that drives: save the document aside, drive through the copy in another process, open what came of it."""
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from jaxtyping import UInt8
+from msgspec import Meta
+
+from ...backends import open_renderer
+from ...rain.settings import Rain
+from ...render.renderer import Renderer
+from ...safe_io.limits import read_file
+from ...scene.formats.scene_folder import KnownFiles
+from ...scene.open import open_to_draw
+from ...scene.progress import Progress
+from ...scene.scene import Scene
+from ...simulation.agents.base import Needs, Observation
+from ...simulation.agents.registry import AgentOptions, open_agent
+from ...simulation.metrics.summary import DriveMetrics, measured
+from ...simulation.playback import PlayedRollout
+from ...simulation.rollout import Rollout, run_setting
+from ...simulation.rollout_io import read_any_rollout, read_rollout, write_rollout
+from ...simulation.scenario import Scenario
+from ...simulation.sensors import RigPictures, needed_cameras, of_width
+from ...simulation.simulation import Simulation, drive
+from ..drive_curves import Curves, curves_of
+from ..notifications import told
+from .job import CopiedSceneJob
+from .process import Job, end_files_when_told
+
+# § A roll-out that is open in the window, with its curves and metrics.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenedRollout:
+    """A finished drive and what panels say about it."""
+
+    rollout: Rollout
+    curves: Curves
+    metrics: DriveMetrics
+    path: Path | None
+    """File that a person knows; none for the result of a job that was not saved."""
+    intensity_mm_h: float
+
+    @property
+    def title(self) -> str:
+        """Scenario, intensity and agent in a few words."""
+        return f"{self.metrics.scenario or 'drive'}, {self.intensity_mm_h:g} mm/h, {self.rollout.agent}"
+
+    @property
+    def collision_s(self) -> float | None:
+        """When something was hit; None where nothing was."""
+        return self.metrics.collision_time_s
+
+    @property
+    def duration_s(self) -> float:
+        """From the first moment to the last."""
+        return self.rollout.steps[-1].time_s
+
+    def saved_at(self, path: Path) -> "OpenedRollout":
+        """Return the same with a file of its own."""
+        return OpenedRollout(self.rollout, self.curves, self.metrics, path, self.intensity_mm_h)
+
+
+Reading = Future[list[OpenedRollout]]
+
+# § What a person wants to drive: who, in which rain, from which seed. The scenario stands beside it.
+
+RainSource = Literal["as the scene", "one intensity", "paper's four"]
+
+
+class DriveWishes(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All but the scenario. A scenario's own rain is not used: the window drives in the rain that it shows."""
+
+    agent: Annotated[str, Meta(title="Agent", description="Who drives.")]
+    detector: Annotated[
+        Path | None,
+        Meta(title="Detector", description="ONNX file of an object detector, for agents that look at pictures."),
+    ] = None
+    description: Annotated[
+        str | None,
+        Meta(title="Its description", description="How the detector is used: a shipped name such as yolox, or a YAML."),
+    ] = None
+    url: Annotated[
+        str | None, Meta(title="Address", description="Where an agent listens that runs elsewhere, such as http.")
+    ] = None
+    rain: Annotated[
+        RainSource,
+        Meta(
+            title="Rain",
+            description="The scene's rain as it is now; the same with another intensity; or one drive at each of the "
+            "paper's 0, 1.2, 8.5 and 12 mm/h.",
+        ),
+    ] = "as the scene"
+    intensity_mm_h: Annotated[
+        float, Meta(ge=0, le=100, title="Intensity", description="R of this drive.", extra={"unit": "mm/h"})
+    ] = 8.5
+    seed: Annotated[
+        int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Same seed: same drops and the same drive.")
+    ] = 0
+
+    @property
+    def options(self) -> AgentOptions:
+        return AgentOptions(detector=self.detector, description=self.description, url=self.url)
+
+    def rains(self, present: Rain) -> tuple[Rain, ...]:
+        """Return the rain of each drive; `present` is the scene's."""
+        if self.rain == "as the scene":
+            return (present,)
+        chosen = PAPER_MM_H if self.rain == "paper's four" else (self.intensity_mm_h,)
+        return tuple(msgspec.structs.replace(present, intensity_mm_h=each) for each in chosen)
+
+
+class DriveJob(CopiedSceneJob):
+    """One drive, or one in each of several rains."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        scenario: Scenario,
+        wishes: DriveWishes,
+        rains: Sequence[Rain],
+        files: ThreadPoolExecutor,
+        known: KnownFiles,
+        take: Callable[[Reading], None],
+    ) -> None:
+        """Start; `take` gets the roll-outs while they are being read."""
+        title = f"Drive {scenario.name} with {wishes.agent}"
+        work = partial(_started, title, scenario, wishes, tuple(rains))
+        super().__init__(title, scene, known, files, work)
+        self._count, self._hand_over = len(rains), take
+
+    def _take(self, last: Progress) -> None:
+        # The folder is removed by the same thread, behind this.
+        self._hand_over(self._folder.do(lambda folder: _read(folder, self._count)))
+
+
+def _started(title: str, scenario: Scenario, wishes: DriveWishes, rains: tuple[Rain, ...], copy: Path) -> Job:
+    return Job(title, drive_in_worker, copy, scenario, wishes, rains)
+
+
+def _read(folder: Path, count: int) -> list[OpenedRollout]:
+    return [open_rollout(path, is_own=False) for path in rollout_files(folder, count)]
+
+
+# § Drives through a saved scene, as work of another process; writes one roll-out a rain.
+
+_PREVIEW_PX = 320
+
+_OPENED = 0.1
+"""Share of the bar when the scene is read and everybody is in place."""
+
+
+def rollout_files(folder: Path, count: int) -> list[Path]:
+    """Where the roll-outs of a job stand, in the order of its rains."""
+    return [folder / f"rollout{number}.jsonl" for number in range(count)]
+
+
+def drive_in_worker(
+    scene_folder: Path, scenario: Scenario, wishes: DriveWishes, rains: Sequence[Rain]
+) -> Iterator[Progress]:
+    """Drive once in each rain; the roll-outs and their metrics stand beside the scene's folder.
+
+    Raises ValueError where the scene lacks what the scenario needs, and where the agent lacks what it needs.
+    """
+    yield Progress(0.0, "Reading the scene")
+    scene = open_to_draw(str(scene_folder))
+    yield Progress(_OPENED / 3, f"Making {wishes.agent} ready")
+    agent = open_agent(wishes.agent, wishes.options)
+    try:
+        with open_renderer() as renderer:
+            for number, rain in enumerate(rains):
+                yield Progress(_share(number, 0.0, len(rains)), "Looking for the road and for what stands beside it")
+                needs = agent.needs
+                test = msgspec.structs.replace(scenario, rain=rain)
+                simulation = Simulation(test, scene, needs, renderer if needs.cameras else None, wishes.seed)
+                front = _Front(simulation, renderer)
+                for observation in drive(simulation, agent):
+                    done = observation.time_s / test.duration_s
+                    words = f"{rain.intensity_mm_h:g} mm/h, {observation.time_s:.2f} s: {_told(observation)}"
+                    yield Progress(_share(number, done, len(rains)), words, front.picture(observation))
+                path = rollout_files(scene_folder.parent, len(rains))[number]
+                rollout = simulation.rollout(agent.name)
+                write_rollout(path, rollout)
+                numbers = msgspec.json.encode(measured(rollout, simulation.occupied))
+                path.with_suffix(METRICS_SUFFIX).write_bytes(numbers)
+    finally:
+        agent.close()
+    yield Progress(1.0, "Driven")
+
+
+class _Front:
+    """What the front camera sees; drawn only where the agent has not had it drawn."""
+
+    def __init__(self, simulation: Simulation, renderer: Renderer) -> None:
+        self._simulation = simulation
+        front = needed_cameras(simulation.rig.cameras, Needs(cameras=("front",))) if simulation.rig.cameras else ()
+        self._cameras = tuple(of_width(each, _PREVIEW_PX) for each in front)
+        self._pictures = RigPictures(renderer, simulation.scenario.rain, self._cameras, Needs())
+
+    def picture(self, observation: Observation) -> UInt8[np.ndarray, "h w 3"] | None:
+        if not self._cameras:
+            return None
+        (front,) = self._cameras
+        if front.name in observation.views:
+            return observation.views[front.name].image
+        state, simulation = observation.state, self._simulation
+        velocity = state.speed_m_s * np.array([np.cos(state.yaw_rad), np.sin(state.yaw_rad), 0.0])
+        time_s = simulation.scenario.start_s + observation.time_s
+        views = self._pictures.views(simulation.scene_now, simulation.rig_to_world, velocity, 0.0, time_s)
+        return views[front.name].image
+
+
+def _share(number: int, done: float, count: int) -> float:
+    return _OPENED + (1 - _OPENED) * (number + min(max(done, 0.0), 1.0)) / count
+
+
+def _told(observation: Observation) -> str:
+    return f"{observation.state.speed_m_s:.1f} m/s"
+
+
+# § The job that films a finished drive: save the document aside, draw the drive in another process, say where it is.
+
+logger = logging.getLogger("gsrain")
+
+
+class DriveFilmJob(CopiedSceneJob):
+    """One film, as `gsrain drive` makes it."""
+
+    def __init__(
+        self, scene: Scene, rollout: Rollout, film: Path, fps: float, files: ThreadPoolExecutor, known: KnownFiles
+    ) -> None:
+        title = f"Film {film.name}"
+        super().__init__(title, scene, known, files, partial(_start_video, title, rollout, film, fps))
+        self._film = film
+
+    def _said(self, error: Exception) -> str:
+        return told(f"{self._film} can't be filmed", error)
+
+    def _take(self, last: Progress) -> None:
+        logger.info("Filmed the drive %s", self._film)
+
+
+def _start_video(title: str, rollout: Rollout, film: Path, fps: float, copy: Path) -> Job:
+    beside = copy.parent / "rollout.jsonl"
+    write_rollout(beside, rollout)
+    return Job(title, film_in_worker, copy, beside, film, fps)
+
+
+def film_in_worker(scene_folder: Path, rollout: Path, film: Path, fps: float) -> Iterator[Progress]:
+    """Film as work of another process; told to end, it ends the film first.
+
+    Raises:
+        ValueError: Where the scene has no rig, or not what the roll-out shows.
+        OSError: When the film can't be written.
+    """
+    # Matplotlib loads slowly: not before the first film.
+    from ...simulation.video import DriveVideo, film_drive
+
+    end_files_when_told()
+    yield Progress(0.0, "Reading the scene")
+    played = PlayedRollout(read_rollout(rollout), open_to_draw(str(scene_folder)))
+    with open_renderer() as renderer:
+        yield from film_drive(film, DriveVideo(played, renderer), fps)
+
+
+PAPER_MM_H = (0.0, 1.2, 8.5, 12.0)
+"""Intensities of the paper's closed-loop tables."""
+
+METRICS_SUFFIX = ".metrics.json"
+"""Metrics stand beside a roll-out of a job: they were measured against its scene's background too."""
+
+
+def open_rollout(path: Path, *, is_own: bool = True) -> OpenedRollout:
+    """Read a roll-out; `is_own` says whether the file stays where it is.
+
+    Raises:
+        ValueError: For what is no roll-out, naming the file and the line.
+        OSError: When the file can't be read.
+    """
+    rollout = read_any_rollout(path)
+    beside = path.with_suffix(METRICS_SUFFIX)
+    try:
+        metrics = measured(rollout) if is_own else msgspec.json.decode(read_file(beside), type=DriveMetrics)
+        curves = curves_of(rollout)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    intensity = run_setting(rollout).intensity_mm_h
+    return OpenedRollout(rollout, curves, metrics, path if is_own else None, intensity)

@@ -1,0 +1,262 @@
+"""The job "Make it rainy": views are transferred, and wet colours solved for that look like them."""
+
+import time
+from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from ...appearance.base import ClearView, RainyView, Transfer, TransferSettings
+from ...appearance.registry import method_of, open_transfer
+from ...appearance.scene_views import PlacedCamera, ViewChoice, chosen_cameras, scene_views
+from ...datasets.open_capture import open_capture
+from ...evaluation.report import RunReport, write_report
+from ...evaluation.report_charts import Comparison
+from ...recolor.problem import RecolorSettings
+from ...recolor.rainy_scene import QUICK, rainy_scene
+from ...recolor.result import read_recolored, with_colors, write_recolored
+from ...render.cpu.renderer import CpuRenderer
+from ...scene.camera import Camera
+from ...scene.formats.scene_files import read_scene
+from ...scene.formats.scene_folder import KnownFiles
+from ...scene.progress import Progress
+from ...scene.scene import Scene
+from ..viewport_state import StagedScene
+from .job import Assignment, CopiedSceneJob, new_report, write_copy
+from .process import Job
+from .training import HOW_TO_GET_DIFFUSION, require_torch
+
+RAINY_SCENE_TITLE = "Make it rainy"
+
+_COLORS = "colors.npz"
+
+# § Transfers as work for another process: a saved scene and plain values in, pictures and wet colours out.
+
+
+@dataclass(frozen=True, slots=True)
+class TransferOrder:
+    """What is to be done to a scene."""
+
+    method: str
+    settings: TransferSettings
+    choice: ViewChoice
+    capture: Path | None = None
+    """The scene's recording, where views are its."""
+    allow_outside: bool = False
+    """Whether files outside of the recording's folder are read that its files name."""
+
+
+class RainyScene:
+    """One scene to be made rainy, a `SceneTask`."""
+
+    title = RAINY_SCENE_TITLE
+    preparing = "Saving the scene for the worker"
+
+    def __init__(self, scene: Scene, known: KnownFiles, order: TransferOrder) -> None:
+        self.report: Path | None = new_report(f"{scene.name} made rainy")
+        self._scene, self._known, self._order = scene, known, order
+
+    def prepare(self, folder: Path) -> Assignment:
+        copy = write_copy(self._scene, folder, self._known)
+        return Assignment(make_rainy, (copy, self._order, folder / _COLORS, self.report))
+
+    def snapshot(self, folder: Path) -> Scene | None:
+        """Show nothing in the view before the end: the panel shows each picture."""
+        return None
+
+    def load(self, folder: Path) -> Scene:
+        return with_colors(self._scene, read_recolored(folder / _COLORS))
+
+    def staged(self, scene: Scene) -> StagedScene:
+        """Bring the wet colours, and nothing else."""
+        return StagedScene(RAINY_SCENE_TITLE, scene, only_wet_colors=True)
+
+
+# § The job "Preview": one view as a transfer makes it, from where a person looks now.
+
+PREVIEW_TITLE = "Preview"
+
+# § One view as a transfer makes it, and what it is of: it is shown only where it fits.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recipe:
+    """A method and its settings."""
+
+    method: str
+    settings: TransferSettings
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreviewedView:
+    """A picture, soaked, and the view that it is of."""
+
+    pixels: UInt8[np.ndarray, "h w 3"]
+    """Display colour."""
+    camera: Camera
+    """In the world, of the viewport's size when it was asked for."""
+    time_s: float
+    scene: Scene
+    recipe: Recipe
+
+    def is_of(self, camera: Camera, time_s: float, scene: Scene) -> bool:
+        own = self.camera
+        return (
+            np.allclose(own.world_to_camera, camera.world_to_camera, atol=_SAME)
+            and abs(own.height / own.fy - camera.height / camera.fy) < _SAME
+            and abs(own.width / own.height - camera.width / camera.height) < _SAME_SHAPE
+            and (not scene.actors or abs(self.time_s - time_s) < _SAME)
+            and _looks_alike(self.scene, scene)
+        )
+
+    def is_made_by(self, recipe: Recipe) -> bool:
+        """Whether the method and its settings are those that it was made with."""
+        return (self.recipe.method, self.recipe.settings) == (recipe.method, recipe.settings)
+
+
+class TransferPreview(CopiedSceneJob):
+    """One view on its way. Whoever has started it takes `result` when it is finished."""
+
+    def __init__(self, wanted: PreviewedView, width_px: int, known: KnownFiles, files: ThreadPoolExecutor) -> None:
+        """Start. `wanted` says what of; its pixels are those that stand in until there are others."""
+        placed = PlacedCamera(PREVIEW_TITLE, wanted.camera, wanted.time_s).at_width(min(width_px, wanted.camera.width))
+        recipe = wanted.recipe
+        super().__init__(
+            PREVIEW_TITLE, wanted.scene, known, files,
+            lambda copy: Job(PREVIEW_TITLE, preview_view, copy, recipe.method, recipe.settings, placed),
+        )  # fmt: skip
+        self.result: PreviewedView | None = None
+        self._wanted = wanted
+
+    def _take(self, last: Progress) -> None:
+        if last.preview is None:
+            raise ValueError("the transfer has made no picture")
+        self.result = replace(self._wanted, pixels=last.preview)
+
+
+_READ, _RENDERED = 0.2, 0.6
+"""Shares of a preview's time."""
+
+
+def make_rainy(copy: Path, order: TransferOrder, output: Path, report: Path | None) -> Iterator[Progress]:
+    """Work of the job "Make it rainy": transfer views of a saved scene, solve for its wet colours and write them."""
+    yield Progress(0.0, "Reading the scene")
+    scene = read_scene(copy)
+    kept = KeptComparisons(_opened(order.method, order.settings, scene))
+    rainy = yield from _with_colors_by(kept, scene, order)
+    if report is not None:
+        write_report(report, kept.report(rainy, order.method))
+    write_recolored(output, {each.key: each.wet_sh for each in rainy.members if each.wet_sh is not None})
+
+
+def rainy_by(scene: Scene, order: TransferOrder) -> Generator[Progress, None, Scene]:
+    """Give a scene the wet colors that an order asks for, in this process; yields and raises as `rainy_scene` does."""
+    return (yield from _with_colors_by(_opened(order.method, order.settings, scene), scene, order))
+
+
+def _with_colors_by(transfer: Transfer, scene: Scene, order: TransferOrder) -> Generator[Progress, None, Scene]:
+    capture = None if order.capture is None else open_capture(order.capture, allow_outside=order.allow_outside)
+    views = scene_views(scene, chosen_cameras(scene, order.choice, capture))
+    # Pictures that don't agree with each other need the robust steps and an exposure each.
+    settings = QUICK if order.method == "wet" else RecolorSettings()
+    return (yield from rainy_scene(scene, views, transfer, settings))
+
+
+def preview_view(copy: Path, method: str, settings: TransferSettings, placed: PlacedCamera) -> Iterator[Progress]:
+    """Work of a preview: transfer one view of a saved scene; the picture comes with the last step."""
+    yield Progress(0.0, "Reading the scene")
+    scene = read_scene(copy)
+    transfer = _opened(method, settings, scene)
+    yield Progress(_READ, "Rendering the view")
+    views: Sequence[ClearView] = scene_views(scene, [placed])
+    yield Progress(_RENDERED, "Making it rainy", shown(views[0].image))
+    for rainy in transfer.transferred(views):
+        yield Progress(1.0, "Done", shown(rainy.image))
+
+
+def shown(image: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+    """Turn a picture in display colours 0..1 into one that a window shows."""
+    return np.rint(np.clip(image, 0, 1) * np.float32(255)).astype(np.uint8)
+
+
+def _opened(method: str, settings: TransferSettings, scene: Scene) -> Transfer:
+    from ...appearance.wet_look.environment import SceneSurroundings
+
+    row = method_of(method)
+    if row.needs_torch:
+        require_torch(row.title, HOW_TO_GET_DIFFUSION)
+    return open_transfer(method, settings, SceneSurroundings(scene))
+
+
+_SAME = 1e-4
+"""Of a pose's numbers and of a field of view."""
+
+_SAME_SHAPE = 0.01
+"""Of a picture's proportions: a viewport has whole pixels."""
+
+
+def _looks_alike(one: Scene, other: Scene) -> bool:
+    """Whether two scenes look the same while they are dry."""
+    return one is other or _dry(one).matter == _dry(other).matter
+
+
+def _dry(scene: Scene) -> Scene:
+    for member in scene.members:
+        if member.wet_sh is not None:
+            scene = scene.with_member(member.key, wet_sh=None)
+    return scene
+
+
+# § The report of "Make it rainy": views as the transfer made them beside what the scene shows of them now.
+
+_COMPARED = 6
+"""Views that the report shows, at most."""
+
+_SOLID = 0.3
+"""Alpha from which a pixel counts."""
+
+
+class KeptComparisons:
+    """A transfer that keeps a few of the views that another one makes, evenly over all."""
+
+    def __init__(self, transfer: Transfer) -> None:
+        self._transfer = transfer
+        self._kept: list[RainyView] = []
+        self._count, self._seconds = 0, 0.0
+
+    @property
+    def name(self) -> str:
+        return self._transfer.name
+
+    def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
+        every = max(1, -(-len(views) // _COMPARED))
+        started = time.perf_counter()
+        for number, rainy in enumerate(self._transfer.transferred(views)):
+            self._seconds += time.perf_counter() - started
+            if number % every == 0:
+                self._kept.append(rainy)
+            self._count += 1
+            yield rainy
+            started = time.perf_counter()
+
+    def report(self, scene: Scene, method: str) -> RunReport:
+        return RunReport(
+            f"{scene.name} made rainy",
+            {"method": method},
+            comparisons=tuple(_compared(scene, each) for each in self._kept),
+            timings={"Views and their transfer": self._seconds},
+            headlines={"Gaussians": f"{scene.gaussian_count:,}", "Views": f"{self._count:,}"},
+        )
+
+
+def _compared(scene: Scene, rainy: RainyView) -> Comparison:
+    parts = [part._replace(colors=None) for part in scene.parts(rainy.clear.time_s, wetness=1.0)]
+    renderer = CpuRenderer()
+    renderer.draw(parts, rainy.clear.camera)
+    rgba = renderer.read().rgba
+    alpha = rgba[..., 3]
+    drawn = np.clip(rgba[..., :3] + (1 - alpha[..., None]) * rainy.image, 0, 1)
+    return Comparison.measured(rainy.clear.name, drawn, rainy.image, alpha > _SOLID)

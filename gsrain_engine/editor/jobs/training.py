@@ -1,0 +1,272 @@
+"""The job "Train the transfer": a worker fine-tunes; its losses, samples and warnings can be watched meanwhile."""
+
+from collections.abc import Generator, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float64
+
+from ...appearance.finetune.loss_log import read_losses
+from ...appearance.finetune.task import TrainingTask, warning_in, with_warning
+from ...datasets.image_override import with_images
+from ...datasets.open_capture import open_capture
+from ...evaluation.report import write_report
+from ...recolor.recolor import RecolorOptions, recolor_to_capture
+from ...recolor.result import read_recolored, with_colors, write_recolored
+from ...scene.files import SceneFormatError
+from ...scene.formats.scene_files import read_scene
+from ...scene.formats.scene_folder import KnownFiles
+from ...scene.progress import Progress
+from ...scene.scene import Scene
+from ...training.settings import TrainingSettings
+from ...training.task import ReconstructionTask
+from ...trusted_code import expect
+from ..viewport_state import StagedScene
+from .job import Assignment, new_report, write_copy
+from .process import Job, JobState
+
+if TYPE_CHECKING:
+    from ...appearance.finetune.task import TrainingResult
+
+TRANSFER_TRAINING_TITLE = "Train the transfer"
+
+Losses = Mapping[str, Float64[np.ndarray, " n"]]
+"""By name, with their steps as `step`; smoothed where there are many."""
+
+_DRAWN = 400
+"""Points of a curve: each is the mean of as many iterations as it takes."""
+
+
+class TransferTraining:
+    """One training, a `BackgroundJob`. Stopped anywhere, it leaves its folder's last checkpoint to go on from."""
+
+    ends_with_scene = False
+
+    def __init__(self, task: TrainingTask, files: ThreadPoolExecutor) -> None:
+        """Start; `files` is where losses are read."""
+        self.title = TRANSFER_TRAINING_TITLE
+        self.state: JobState = "running"
+        self.progress = Progress(0.0, "Starting")
+        self.error: str | None = None
+        self.details: str | None = None
+        self.task = task
+        self.losses: Losses = {}
+        self.warning: str | None = None
+        """What is wrong with how it goes, as the worker says; stays when it ends."""
+        self._files = files
+        self._worker: Job | None = Job(TRANSFER_TRAINING_TITLE, train_transfer, task)
+        self._reading: Future[Losses] | None = None
+        self._read_at = ""
+
+    def poll(self, session: object) -> None:
+        """Take in what the worker has said, and its losses; never waits."""
+        if self.state != "running":
+            return
+        self._follow_losses()
+        if self._worker is None:  # it is done, and its last losses have been read
+            if self._reading is None:
+                self._end("finished")
+            return
+        worker = self._worker
+        worker.poll()
+        said = worker.progress
+        if (warning := warning_in(said.message)) is not None:  # it is shown by itself, not with each iteration
+            self.warning, said = warning, said._replace(message=said.message.removesuffix(with_warning("", warning)))
+        elif said.message[:1].isdigit():  # an iteration after which all is well
+            self.warning = None
+        self.progress = said
+        if worker.state == "failed":
+            self.error, self.details = worker.error, worker.details
+            self._end("failed")
+        elif worker.state == "finished":
+            self.progress = Progress(1.0, f"Trained: {self.task.weights}", self.progress.preview)
+            self._files.submit(worker.close)
+            self._worker = None
+
+    def cancel(self) -> None:
+        """Stop, without waiting; what was saved last can be gone on from."""
+        if self.state == "running":
+            self._end("cancelled")
+
+    def _follow_losses(self) -> None:
+        if self._reading is not None and self._reading.done():
+            self.losses, self._reading = self._reading.result(), None
+        if self._reading is None and self.progress.message != self._read_at:
+            self._read_at = self.progress.message
+            self._reading = self._files.submit(_losses_of, self.task)
+
+    def _end(self, state: JobState) -> None:
+        self.state = state
+        if self._reading is not None:
+            self._reading.cancel()
+        if self._worker is not None:
+            self._worker.cancel()
+            self._files.submit(self._worker.close)
+            self._worker = None
+
+
+def _losses_of(task: TrainingTask) -> Losses:
+    """Read the losses so far; where the file can't be read there are none."""
+    try:
+        rows = read_losses(task.losses)
+    except OSError:
+        return {}
+    if not rows:
+        return {}
+    each = max(1, len(rows) // _DRAWN)
+    whole = len(rows) // each * each
+    return {name: np.array([row[name] for row in rows[:whole]]).reshape(-1, each).mean(axis=1) for name in rows[0]}
+
+
+# § Fine-tuning as work, for a worker process and the command line alike: the recipe with LPIPS, where it has weights.
+
+
+def train_transfer(task: "TrainingTask") -> "Generator[Progress, None, TrainingResult]":
+    """Fine-tune as a task says. Yields and raises as `finetune` does, and ValueError where torch is missing."""
+    require_torch("training the transfer", HOW_TO_GET_DIFFUSION)
+    expect(task.code)
+    from ...appearance.finetune.run import chosen_device, finetune
+    from ...evaluation.lpips import lpips_loss
+
+    settings = task.settings
+    wanted = settings.losses.cycle_lpips or settings.losses.identity_lpips
+    file = None if settings.lpips is None else Path(settings.lpips)
+    perceptual = lpips_loss(file, chosen_device(settings.device)) if wanted else None
+    return (yield from finetune(task, perceptual))
+
+
+# § The job "Recolour": wet colours are solved for so that the scene looks like given pictures.
+
+_COLORS = "colors.npz"
+
+
+class Recoloring:
+    """One scene to be recoloured to pictures, a `SceneTask`."""
+
+    preparing = "Saving the scene for the worker"
+
+    def __init__(
+        self,
+        scene: Scene,
+        known: KnownFiles,
+        capture: Path,
+        images: Path | None = None,
+        options: RecolorOptions | None = None,
+        *,
+        allow_outside: bool = False,
+    ) -> None:
+        """Cameras come from a capture; so do the pictures, unless a folder has them anew, under the same names."""
+        pictures = images or capture
+        self.title = f"Recolour to {pictures.name}"
+        self.report: Path | None = new_report(f"{scene.name} to {pictures.name}")
+        self._scene, self._known = scene, known
+        self._capture, self._images, self._options = capture, images, options or RecolorOptions()
+        self._allow_outside = allow_outside
+
+    def prepare(self, folder: Path) -> Assignment:
+        copy = write_copy(self._scene, folder, self._known)
+        arguments = copy, self._capture, self._images, self._options, folder / _COLORS, self.report, self._allow_outside
+        return Assignment(recolor_copy, arguments)
+
+    def snapshot(self, folder: Path) -> Scene | None:
+        return None
+
+    def load(self, folder: Path) -> Scene:
+        return with_colors(self._scene, read_recolored(folder / _COLORS))
+
+    def staged(self, scene: Scene) -> StagedScene:
+        """Bring the wet colours, and nothing else."""
+        return StagedScene(self.title, scene, only_wet_colors=True)
+
+
+def recolor_copy(
+    copy: Path,
+    capture: Path,
+    images: Path | None,
+    options: RecolorOptions,
+    output: Path,
+    report: Path | None,
+    allow_outside: bool = False,
+) -> Iterator[Progress]:
+    """Work of the job, for another process: solve for a saved scene's wet colours and write them."""
+    yield Progress(0.0, "Reading the scene")
+    scene, pictures = read_scene(copy), open_capture(capture, allow_outside=allow_outside)
+    if images is not None:
+        pictures = with_images(pictures, images)
+    run = yield from recolor_to_capture(scene, pictures, options)
+    if report is not None:
+        write_report(report, run.report)
+    write_recolored(output, {each.key: each.wet_sh for each in run.scene.members if each.wet_sh is not None})
+
+
+# § The job "Reconstruct": a capture becomes Gaussians in another process, and can be watched in the view meanwhile.
+
+_SCENE, _SNAPSHOT = "scene", "snapshot"
+
+
+class Reconstruction:
+    """One capture to be reconstructed, a `SceneTask`."""
+
+    preparing = "Starting"
+
+    def __init__(self, capture: Path, settings: TrainingSettings, *, allow_outside: bool = False) -> None:
+        self.title = f"Reconstruct {capture.name}"
+        self.report: Path | None = new_report(capture.name)
+        self._capture, self._settings, self._allow_outside = capture, settings, allow_outside
+        self._seen_ns = 0
+
+    def prepare(self, folder: Path) -> Assignment:
+        task = ReconstructionTask(
+            capture=self._capture, output=folder / _SCENE, settings=self._settings, report=self.report,
+            snapshot=folder / _SNAPSHOT, allow_outside=self._allow_outside,
+        )  # fmt: skip
+        return Assignment(reconstruct_capture, (task,))
+
+    def snapshot(self, folder: Path) -> Scene | None:
+        try:
+            written_ns = (folder / _SNAPSHOT / "scene.json").stat().st_mtime_ns
+            if written_ns == self._seen_ns:
+                return None
+            scene = read_scene(folder / _SNAPSHOT)
+        except (OSError, SceneFormatError):
+            return None  # not there yet, or just being replaced: there will be another
+        self._seen_ns = written_ns
+        return scene
+
+    def load(self, folder: Path) -> Scene:
+        return read_scene(folder / _SCENE)
+
+    def staged(self, scene: Scene) -> StagedScene:
+        """Take the place of the present scene, as a step that can be undone."""
+        return StagedScene(self.title, scene, is_whole=True)
+
+
+def reconstruct_capture(task: ReconstructionTask) -> Iterator[Progress]:
+    """Work of the job, for a process that has torch."""
+    require_torch("reconstructing")
+    from ...training.train import reconstruct
+
+    yield from reconstruct(task)
+
+
+# § Whether torch is there, which heavy jobs need and which is an extra: asked without loading it.
+
+HOW_TO_GET_TORCH = "pip install 'gsrain[jobs]'"
+
+HOW_TO_GET_DIFFUSION = "pip install 'gsrain[diffusion]'"
+"""Torch, and what a diffusion model takes besides."""
+
+
+@cache
+def has_torch() -> bool:
+    return find_spec("torch") is not None
+
+
+def require_torch(what: str, how: str = HOW_TO_GET_TORCH) -> None:
+    """Raise ValueError, which says that `what` needs torch and how to get it, where it is missing."""
+    if not has_torch():
+        raise ValueError(f"{what} needs torch, which is not installed: {how}")

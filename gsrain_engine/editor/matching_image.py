@@ -1,0 +1,137 @@
+"""Correspondences as pictures to lay over the view: the other view warped, the difference, or what became of pixels."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import matplotlib
+import numpy as np
+from jaxtyping import Float32, Int64, UInt8
+
+from ..appearance.base import ClearView
+from ..appearance.capture_views import capture_views
+from ..appearance.correspondence import COLORS, Correspondence, Outcome, correspondence, warped
+from ..appearance.scene_views import PlacedCamera, scene_view, scene_views
+from ..datasets.capture import Capture, View
+from ..datasets.undistort import prepared
+from ..scene.scene import Scene
+from .viewport.options import Mode
+
+_VEIL: dict[Outcome, float] = {Outcome.OUTSIDE: 0.65, Outcome.UNKNOWN: 0.6, Outcome.MATCHED: 0.0}
+
+_OTHER_VEIL = 0.5
+
+_MARK = 0.45
+
+_LARGEST_DIFFERENCE = 0.25
+
+_SHADES = 256
+
+_LINE_STEP_PX = 24
+
+# § Two views and their correspondence, worked out in a thread: recorded ones, or the live one and a recorded one.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchedViews:
+    """A view, another one, and where each pixel of the first lies in the second."""
+
+    of: ClearView
+    to: ClearView
+    found: Correspondence
+
+
+def matching_picture(matched: MatchedViews, mode: Mode) -> UInt8[np.ndarray, "h w 4"]:
+    """Draw a correspondence for one mode: display colour, and how much it covers.
+
+    picture: the other view as it is seen from here; unmatched pixels are dimmed, in the colour of their reason.
+    difference: from none (black) to a quarter of full scale (white). pixels: only the colours of what became of them.
+    """
+    found = matched.found
+    veils = np.array([_VEIL.get(each, _OTHER_VEIL) for each in Outcome], np.float32)
+    colors = np.array([COLORS[each] for each in Outcome], np.float32)
+    picture = np.concatenate([colors[found.outcome], veils[found.outcome][..., None]], axis=2)
+    valid = found.valid
+    if mode == "pixels":
+        picture[valid, 3] = _MARK
+    else:
+        other = warped(matched.to.image, found)
+        shown = other if mode == "picture" else _difference(other, matched.of.image)
+        picture[valid] = np.concatenate([shown, np.ones_like(shown[..., :1])], axis=2)[valid]
+    return np.rint(255 * np.clip(picture, 0, 1)).astype(np.uint8)
+
+
+def flow_lines(matched: MatchedViews) -> Float32[np.ndarray, "n 2 2"]:
+    """Lines on a grid, from where a matched pixel is to where the other view has it, in shares of each picture."""
+    places, valid = matched.found.places, matched.found.valid
+    height, width = valid.shape
+    rows, columns = (each.ravel() for each in np.mgrid[_middle(height), _middle(width)])
+    kept = valid[rows, columns]
+    rows, columns = rows[kept], columns[kept]
+    start = np.stack([(columns + 0.5) / width, (rows + 0.5) / height], axis=1)
+    end = places[rows, columns] / np.array(matched.found.size[::-1], np.float32)
+    return np.stack([start, end], axis=1).astype(np.float32)
+
+
+def shares(matched: MatchedViews) -> dict[Outcome, float]:
+    """Share of the picture of each outcome that there is."""
+    counts: Int64[np.ndarray, " k"] = np.bincount(matched.found.outcome.ravel(), minlength=len(Outcome))
+    return {each: float(counts[each] / counts.sum()) for each in COLORS if counts[each]}
+
+
+def _middle(size: int) -> slice:
+    return slice(size % _LINE_STEP_PX // 2 + _LINE_STEP_PX // 2, size, _LINE_STEP_PX)
+
+
+def _difference(one: Float32[np.ndarray, "h w 3"], other: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
+    error = np.abs(one - other).mean(axis=2)
+    shades = np.asarray(matplotlib.colormaps["magma"](np.linspace(0, 1, _SHADES)), np.float32)[:, :3]
+    return shades[np.rint(np.clip(error / _LARGEST_DIFFERENCE, 0, 1) * (_SHADES - 1)).astype(int)]
+
+
+WIDTH_PX = 480
+"""Of the pictures that are matched."""
+
+
+class MatchableViews:
+    """Views of a capture with what is known about their pixels; used from one thread.
+
+    Depth is that of the capture, or of its lidar; where it has neither, or where the live view takes part, of the scene
+    that was made from it.
+    """
+
+    def __init__(self, capture: Capture, scene: Scene | None) -> None:
+        """Take a capture, and the scene in whose units and axes it lies, if it does."""
+        self.capture, self.scene = capture, scene
+        self._recorded = capture_views(capture, WIDTH_PX)
+        self._straight = [prepared(view, min(WIDTH_PX, view.camera.width)) for view in capture]
+        self._seen: Sequence[ClearView] | None = None
+        if scene is not None:
+            placed = [_placed(view, scene) for view in self._straight]
+            self._seen = scene_views(scene, placed)
+
+    def matched(self, of: int | PlacedCamera, to: int) -> MatchedViews:
+        """Match a recorded view, or the live one, with a recorded one; raises ValueError where that can't be done."""
+        is_live = isinstance(of, PlacedCamera)
+        uses_scene = self._seen is not None and (is_live or not self._has_depth)
+        if is_live and self.scene is None:
+            raise ValueError("The capture does not lie in the scene: look from one of its views to match it.")
+        other = self._of_scene(to) if uses_scene else self._recorded[to]
+        if is_live:
+            view = scene_view(self.scene or Scene(""), of.at_width(WIDTH_PX))
+        else:
+            view = self._of_scene(of) if uses_scene else self._recorded[of]
+        return MatchedViews(view, other, correspondence(view, other))
+
+    @property
+    def _has_depth(self) -> bool:
+        return bool(self.capture.sweeps) or any(view.depth_source is not None for view in self.capture)
+
+    def _of_scene(self, index: int) -> ClearView:
+        """A recorded picture, with the scene's depth."""
+        assert self._seen is not None, "there is a scene"
+        recorded = self._straight[index].image.astype(np.float32) / np.float32(255)
+        return replace(self._seen[index], image=recorded)
+
+
+def _placed(view: View, scene: Scene) -> PlacedCamera:
+    return PlacedCamera(view.name, view.camera.moved(scene.scene_to_world), view.time_s, view.sensor)

@@ -1,0 +1,236 @@
+"""The person's camera path as lines in the picture: the way, its seconds, its keys, and where the camera is now."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from ..datasets.capture import Capture
+from ..render.draw import Shot
+from ..scene.camera import Camera
+from ..scene.camera_path import CameraPath
+from .camera_path import place_key
+from .viewport.picking import NEAR_M, projected_lines, projected_point
+from .viewport_state import ViewedDocument
+
+_SAMPLES_A_SECOND, _MOST_SAMPLES = 12, 700
+
+_FRUSTUM_PX = 26.0
+
+_MOST_KEYS = 200
+"""A path imported frame by frame has thousands: handles for all of them would hide the picture."""
+
+
+class KeyMark(NamedTuple):
+    """A key in the picture."""
+
+    key: int
+    handle_px: tuple[float, float]
+    frustum_px: Float64[np.ndarray, "m 2 2"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathDrawing:
+    """Lines as start and end, x and y in pixels of the picture; only what is in front of the camera."""
+
+    way_px: Float64[np.ndarray, "m 2 2"]
+    ticks_px: Float64[np.ndarray, "n 2"]
+    """Where the camera is at each full second."""
+    keys: list[KeyMark]
+    now_px: Float64[np.ndarray, "k 2 2"]
+    """A small camera where the flight is at the clock's time."""
+
+
+def path_drawing(session: ViewedDocument, camera: Camera) -> PathDrawing | None:
+    """Project the person's path into a picture; None where they have made none."""
+    if session.scene.path is None:
+        return None
+    path = session.path
+    way, seconds = _sampled(path)
+    step = max(1, -(-len(path.times_s) // _MOST_KEYS))
+    keys = [mark for k in range(0, len(path.times_s), step) if (mark := _key_mark(path, k, camera)) is not None]
+    t = session.clock.time_s
+    return PathDrawing(
+        projected_lines(np.stack([way[:-1], way[1:]], axis=1), camera),
+        _projected_points(seconds, camera),
+        keys,
+        _frustum(path.camera(t, 3, 2), camera),
+    )
+
+
+def drag_in_view(session: ViewedDocument, shot: Shot, moved_px: tuple[float, float], *, upright: bool) -> None:
+    """Move the key in the hand in the plane that faces the view, or along the world's height only."""
+    drag = session.timeline.drag
+    if drag is None:
+        return
+    camera, start = shot.camera, _place(session, drag.path.positions[drag.key])
+    depth = float(camera.world_to_camera[2, :3] @ start + camera.world_to_camera[2, 3])
+    metres_a_pixel = max(depth, NEAR_M) / camera.fy
+    right, down = camera.world_to_camera[0, :3], camera.world_to_camera[1, :3]
+    if upright:
+        steepness = max(-float(down[2]), 0.2)  # seen from straight above the height has no length in the picture
+        change = np.array([0.0, 0.0, -moved_px[1] * metres_a_pixel / steepness])
+    else:
+        change = metres_a_pixel * (moved_px[0] * right + moved_px[1] * down)
+    place_key(session, drag.key, "Move camera key", position_m=start + change, gesture="drag a key")
+
+
+@lru_cache(maxsize=4)
+def _sampled(path: CameraPath) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "s 3"]]:
+    """Places along the way, and those of full seconds."""
+    count = int(np.clip(_SAMPLES_A_SECOND * path.duration_s, 8 * len(path.times_s), _MOST_SAMPLES))
+    end = np.nextafter(path.end_s, -np.inf) if path.loop else path.end_s
+    inner = path.times_s if len(path.times_s) <= _MOST_SAMPLES else path.times_s[:0]
+    times = np.union1d(np.linspace(path.start_s, end, max(count, 2)), inner)
+    seconds = np.arange(np.ceil(path.start_s), min(path.end_s, path.start_s + _MOST_SAMPLES) + 1e-9)
+    return path.places(times), path.places(seconds)
+
+
+def _key_mark(path: CameraPath, key: int, camera: Camera) -> KeyMark | None:
+    seen = projected_point(path.positions[key], camera)
+    if seen is None:
+        return None
+    there = path.camera(float(path.times_s[key]), 3, 2)
+    return KeyMark(key, (seen.x, seen.y), _frustum(there, camera))
+
+
+def _frustum(shown: Camera, camera: Camera) -> Float64[np.ndarray, "k 2 2"]:
+    """A small pyramid that opens where a camera looks, with a flag at the top; equally large at every distance."""
+    pose = shown.camera_to_world
+    depth = float(camera.world_to_camera[2, :3] @ pose[:3, 3] + camera.world_to_camera[2, 3])
+    if depth < NEAR_M:
+        return np.zeros((0, 2, 2))
+    size = _FRUSTUM_PX * depth / camera.fy
+    w, h = 0.75 * size, 0.5 * size
+    eye = np.zeros(3)
+    a, b, c, d = (np.array([x, y, size]) for x, y in ((-w, -h), (w, -h), (w, h), (-w, h)))
+    flag = np.array([0, -1.7 * h, size])
+    left, right = np.array([-0.5 * w, -1.1 * h, size]), np.array([0.5 * w, -1.1 * h, size])
+    lines = np.array(
+        [[eye, a], [eye, b], [eye, c], [eye, d], [a, b], [b, c], [c, d], [d, a], [left, flag], [flag, right]]
+    )
+    return projected_lines(lines @ pose[:3, :3].T + pose[:3, 3], camera)
+
+
+def _projected_points(points: Float64[np.ndarray, "n 3"], camera: Camera) -> Float64[np.ndarray, "m 2"]:
+    seen = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    seen = seen[seen[:, 2] > NEAR_M]
+    return np.array([camera.fx, camera.fy]) * seen[:, :2] / seen[:, 2:] + np.array([camera.cx, camera.cy])
+
+
+def _place(session: ViewedDocument, position: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
+    to_world = session.scene.scene_to_world
+    return to_world[:3, :3] @ position + to_world[:3, 3]
+
+
+# § Recorded cameras as pyramids in the picture, and their pictures on the pyramids' far sides.
+
+MOST_FRUSTUMS = 100
+"""Those nearest to the eye are drawn: more of them hide what they stand in."""
+
+_NEAR = 1e-6
+
+_TIP = 0.5
+"""Of a pyramid's length: from nearer, its picture covers two thirds of the view or more."""
+
+
+class Frustum(NamedTuple):
+    """One recorded camera in the picture."""
+
+    view: int
+    eye_px: tuple[float, float] | None
+    """Where its centre of projection is seen; None where it is not."""
+    lines_px: Float64[np.ndarray, "m 2 2"]
+
+
+class RecordedCameras:
+    """Cameras of views in the world, with where they are and what they see as arrays: made once, drawn each frame."""
+
+    def __init__(self, cameras: Iterable[Camera]) -> None:
+        self._cameras = tuple(cameras)
+        self.eyes: Float64[np.ndarray, "n 3"] = np.array([each.position for each in self._cameras]).reshape(-1, 3)
+        corners = [image_corners(each, 1.0) - each.position for each in self._cameras]
+        self.rays: Float64[np.ndarray, "n 4 3"] = np.array(corners).reshape(-1, 4, 3)
+        """From the eye to the picture's corners on a plane 1 m in front of it."""
+
+    def __len__(self) -> int:
+        return len(self._cameras)
+
+    def __getitem__(self, view: int) -> Camera:
+        return self._cameras[view]
+
+
+def frustums(cameras: RecordedCameras, views: Sequence[int], length_m: float, camera: Camera) -> list[Frustum]:
+    """Project the chosen views that are nearest to the eye into a picture, the farthest of them first.
+
+    Those at whose tip the eye is are left out: their pictures would hide the scene.
+    """
+    chosen = np.asarray(views, np.int64)
+    distances = np.linalg.norm(cameras.eyes[chosen] - camera.position, axis=1)
+    is_apart = distances > _TIP * length_m
+    chosen, distances = chosen[is_apart], distances[is_apart]
+    nearest = chosen[np.argsort(distances, kind="stable")[:MOST_FRUSTUMS][::-1]]
+    if not len(nearest):
+        return []
+    eyes = cameras.eyes[nearest]
+    corners = eyes[:, None] + length_m * cameras.rays[nearest]
+    sides = np.stack([np.broadcast_to(eyes[:, None], corners.shape), corners], axis=2)
+    far = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2)
+    lines = np.concatenate([sides, far], axis=1)  # (frustums, 8 lines, 2 ends, 3)
+    depth = lines @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
+    seen = (depth > NEAR_M).any(axis=2).sum(axis=1)
+    drawn = np.split(projected_lines(lines.reshape(-1, 2, 3), camera), np.cumsum(seen)[:-1])
+    return [
+        Frustum(int(view), seen and (seen.x, seen.y), own)
+        for view, seen, own in zip(nearest, (projected_point(each, camera) for each in eyes), drawn, strict=True)
+        if len(own)
+    ]
+
+
+def image_corners(camera: Camera, length_m: float) -> Float64[np.ndarray, "4 3"]:
+    """World positions of a picture's corners on a plane so far in front of its camera: from top left, clockwise."""
+    w, h = camera.width, camera.height
+    return _on_plane(camera, length_m, np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float64))
+
+
+def picture_grid(
+    shown: Camera, length_m: float, camera: Camera, cells: tuple[int, int]
+) -> Float64[np.ndarray, "rows columns 2"] | None:
+    """Pixels at which a grid over a recorded picture (cells across and down) is seen; None where it is behind the eye.
+
+    Seen from the recorded camera itself, the picture is where it was taken, whatever `length_m` is.
+    """
+    columns, rows = np.meshgrid(np.linspace(0, shown.width, cells[0] + 1), np.linspace(0, shown.height, cells[1] + 1))
+    points = _on_plane(shown, length_m, np.stack([columns.ravel(), rows.ravel()], axis=1))
+    seen = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    if seen[:, 2].min() < max(0.02 * length_m, _NEAR):
+        return None
+    focal, center = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+    return (focal * seen[:, :2] / seen[:, 2:] + center).reshape(*columns.shape, 2)
+
+
+def fitting_fov_deg(shown: Camera, aspect: float) -> float:
+    """Vertical angle of a viewport (width over height) with this line of sight that sees a whole recorded picture."""
+    upward = max(shown.cy, shown.height - shown.cy) / shown.fy
+    sideways = max(shown.cx, shown.width - shown.cx) / shown.fx
+    return float(np.degrees(2 * np.arctan(max(upward, sideways / aspect))))
+
+
+def frustum_length(capture: Capture) -> float:
+    """A length for the pyramids, in the capture's units: they show which way views look and seldom overlap."""
+    places = np.array([view.camera.position for view in capture])
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    steps = steps[steps > 1e-9]
+    if not len(steps):
+        return 1.0
+    extent = float(np.linalg.norm(np.ptp(places, axis=0)))
+    return float(np.clip(0.8 * np.median(steps), extent / 60, max(extent / 4, 1e-6)))
+
+
+def _on_plane(camera: Camera, length_m: float, pixels: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
+    pose = camera.camera_to_world
+    x, y = (pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy
+    return length_m * np.stack([x, y, np.ones(len(x))], axis=1) @ pose[:3, :3].T + pose[:3, 3]

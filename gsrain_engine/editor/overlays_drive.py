@@ -1,0 +1,235 @@
+"""A roll-out as lines in the picture: everybody's box, the plan on the road, the way that was driven."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Any, NamedTuple
+
+import msgspec
+import numpy as np
+from jaxtyping import Float64
+from msgspec import Meta
+
+from ..scene.camera import Camera
+from ..scene.geometry import EDGES, box_corners
+from ..scene.scene import RigCamera, Scene
+from ..simulation.rollout import RolloutStep
+from ..simulation.traffic.base import RoadUser
+from .drive_playback import ShownRollout
+from .viewport.options import Texture
+from .viewport.picking import projected_lines, projected_point
+
+_ABOVE_ROAD_M = 0.04
+
+_DOT_M = 0.16
+
+_LEAST_PX, _MOST_PX = 2.0, 10.0
+
+_PIECE_M = 0.5
+"""Lines are cut into pieces, so that each is cut off where it leaves the picture behind the eye."""
+
+
+class BoxMark(NamedTuple):
+    """Somebody's box."""
+
+    name: str
+    lines_px: Float64[np.ndarray, "m 2 2"]
+    top_px: tuple[float, float] | None
+    """Where its name stands; None where that is not seen."""
+    speed_m_s: float
+    is_hit: bool
+    """Whether the ego vehicle touches it now, or it is the ego vehicle that touches something."""
+    is_ego: bool
+
+
+class Dot(NamedTuple):
+    """A planned point; nearer ones are larger."""
+
+    x: float
+    y: float
+    radius_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RolloutDrawing:
+    """Pixels of the picture; only what is in front of the camera."""
+
+    boxes: list[BoxMark]
+    plan_px: Float64[np.ndarray, "m 2 2"]
+    dots: list[Dot]
+    driven_px: Float64[np.ndarray, "k 2 2"]
+
+
+def rollout_drawing(shown: ShownRollout, clock_s: float, camera: Camera, *, from_inside: bool) -> RolloutDrawing:
+    """Project a moment of a roll-out; `from_inside` leaves out the ego vehicle's own box and way."""
+    time_s = shown.own_time_s(clock_s)
+    played, step = shown.played, shown.played.step(time_s)
+    hit = step.collision if time_s >= step.time_s else None
+    boxes = [_box(user, camera, is_hit=user.id == hit) for user in played.users(time_s)]
+    if not from_inside:
+        boxes.append(_box(_ego(shown, time_s), camera, is_hit=hit is not None, is_ego=True))
+    plan = planned_places(shown, step, time_s)
+    driven = _driven(shown, time_s) if not from_inside else np.zeros((0, 3))
+    dots = [dot for place in plan[1:] if (dot := _dot(place, camera)) is not None]
+    return RolloutDrawing(boxes, _projected(plan, camera), dots, _projected(driven, camera))
+
+
+def planned_places(shown: ShownRollout, step: RolloutStep, time_s: float) -> Float64[np.ndarray, "n 3"]:
+    """Where the plan that is followed now leads: the ego vehicle's rear axle first, then what is still ahead of it.
+
+    World, metres, a little above the road, which is taken as high as where the vehicle is.
+    """
+    state = shown.played.state(time_s)
+    height = step.ego.z_m + _ABOVE_ROAD_M
+    if not step.plan:
+        return np.zeros((0, 3))
+    points = shown.played.state(step.time_s).to_world(np.array(step.plan))
+    ahead = points[state.from_world(points)[:, 0] > 0]
+    places = np.concatenate([[(state.x_m, state.y_m)], ahead])
+    return np.column_stack([places, np.full(len(places), height)])
+
+
+def _driven(shown: ShownRollout, time_s: float) -> Float64[np.ndarray, "n 3"]:
+    steps = [each.ego for each in shown.played.rollout.steps if each.time_s < time_s]
+    now = shown.played.rig_to_world(time_s)[:3, 3] - (0.0, 0.0, shown.played.rig.height_m)
+    places = np.array([*[(ego.x_m, ego.y_m, ego.z_m) for ego in steps], now])
+    return places + (0.0, 0.0, _ABOVE_ROAD_M)
+
+
+def _ego(shown: ShownRollout, time_s: float) -> RoadUser:
+    vehicle, state = shown.scenario.vehicle, shown.played.state(time_s)
+    z = float(shown.played.rig_to_world(time_s)[2, 3]) - shown.played.rig.height_m
+    size = vehicle.length_m, vehicle.width_m, vehicle.height_m
+    axle = RoadUser("ego", "car", size, state.x_m, state.y_m, state.yaw_rad, state.speed_m_s, z)
+    return axle.ahead(vehicle.middle_m)
+
+
+def _box(user: RoadUser, camera: Camera, *, is_hit: bool, is_ego: bool = False) -> BoxMark:
+    lines = projected_lines(box_corners(user.pose, user.size_lwh)[EDGES], camera)
+    top = projected_point(user.pose[:3, 3] + (0.0, 0.0, user.size_lwh[2]), camera)
+    return BoxMark(user.id, lines, None if top is None else (top.x, top.y), user.speed_m_s, is_hit, is_ego)
+
+
+def _projected(places: Float64[np.ndarray, "n 3"], camera: Camera) -> Float64[np.ndarray, "m 2 2"]:
+    """A line through places of the world."""
+    if len(places) < 2:
+        return np.zeros((0, 2, 2))
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
+    at = np.append(np.arange(0.0, along[-1], _PIECE_M), along[-1])
+    fine = np.stack([np.interp(at, along, places[:, axis]) for axis in range(3)], axis=1)
+    return projected_lines(np.stack([fine[:-1], fine[1:]], axis=1), camera)
+
+
+def _dot(place: Float64[np.ndarray, "3"], camera: Camera) -> Dot | None:
+    seen = projected_point(place, camera)
+    if seen is None:
+        return None
+    return Dot(seen.x, seen.y, float(np.clip(_DOT_M * camera.fx / seen.depth_m, _LEAST_PX, _MOST_PX)))
+
+
+# § What a camera agent has seen in a step, as boxes in the picture: from the notes of its roll-out.
+
+_LEAST_CONFIDENCE = 0.25
+
+_Box = tuple[float, float, float, float]
+
+
+class SeenBox(NamedTuple):
+    """A detection; pixels of the viewport's picture."""
+
+    low_px: tuple[float, float]
+    high_px: tuple[float, float]
+    words: str
+    is_lead: bool
+    """Whether the agent follows it."""
+
+
+class _Detection(msgspec.Struct, frozen=True):
+    box_xyxy: _Box
+    confidence: Annotated[float, Meta(ge=0, le=1)] = 1.0
+    class_name: str = msgspec.field(default="", name="class")
+
+
+class _Lead(msgspec.Struct, frozen=True):
+    box_xyxy: _Box | None = None
+    gap_m: float | None = None
+
+
+class _Notes(msgspec.Struct, frozen=True):
+    detections: tuple[_Detection, ...] = ()
+    lead: _Lead | None = None
+
+
+def seen_boxes(step: RolloutStep, front: RigCamera, camera: Camera) -> list[SeenBox]:
+    """Return the detections of a step for a camera that stands where the rig's front camera is.
+
+    Empty where the agent has noted none, or notes something else by that name.
+    """
+    notes = _read(step.notes)
+    found: list[SeenBox] = []
+    for each in notes.detections:
+        is_lead = notes.lead is not None and notes.lead.box_xyxy == each.box_xyxy
+        if each.confidence < _LEAST_CONFIDENCE and not is_lead:
+            continue
+        x0, y0, x1, y1 = each.box_xyxy
+        words = f"{each.class_name} {each.confidence:.2f}".strip()
+        if is_lead and notes.lead is not None and notes.lead.gap_m is not None:
+            words += f", {notes.lead.gap_m:.1f} m"
+        found.append(SeenBox(_moved(x0, y0, front, camera), _moved(x1, y1, front, camera), words, is_lead))
+    return found
+
+
+def _read(notes: dict[str, Any]) -> _Notes:
+    try:
+        return msgspec.convert(notes, _Notes)
+    except msgspec.ValidationError:
+        return _Notes()
+
+
+def _moved(x: float, y: float, front: RigCamera, camera: Camera) -> tuple[float, float]:
+    """A pixel of the rig's camera as a pixel of another one at the same place."""
+    right, down = (x - front.cx) / front.fx, (y - front.cy) / front.fy
+    return camera.fx * right + camera.cx, camera.fy * down + camera.cy
+
+
+# § The rig's cameras side by side: which there are, where they stand in the mosaic, and what of it is drawn.
+
+_WIDTH_STEP_PX = 16
+
+
+@dataclass(slots=True)
+class Mosaic:
+    """What the panel wants and what has been drawn for it."""
+
+    rig: str = ""
+    """Name of the rig; one that the scene has not is its first."""
+    width_px: int = 240
+    """Of each picture."""
+    is_wanted: bool = False
+    """Whether the panel is to be seen; said anew in each frame."""
+    is_behind: bool = False
+    """Whether pictures are older than what the scene shows now."""
+    pictures: dict[str, Texture] = field(default_factory=dict[str, Texture])
+    """By camera."""
+
+    def want(self, width_px: float) -> None:
+        """Have the pictures drawn in about this width."""
+        self.is_wanted = True
+        self.width_px = max(64, _WIDTH_STEP_PX * round(width_px / _WIDTH_STEP_PX))
+
+    def cameras(self, scene: Scene) -> tuple[RigCamera, ...]:
+        if not scene.rigs:
+            return ()
+        return scene.rigs.get(self.rig) or next(iter(scene.rigs.values()))
+
+
+def mosaic_rows(cameras: Sequence[RigCamera]) -> list[list[RigCamera]]:
+    """Put cameras where one would look for them: those that look ahead above, from left to right; the others below."""
+    ahead = [each for each in cameras if each.camera_to_ego[0, 2] > 0]
+    behind = [each for each in cameras if each.camera_to_ego[0, 2] <= 0]
+    rows = [sorted(ahead, key=_leftness, reverse=True), sorted(behind, key=_leftness, reverse=True)]
+    return [row for row in rows if row]
+
+
+def _leftness(camera: RigCamera) -> float:
+    """How far to the left of straight ahead, or of straight back, a camera looks."""
+    return float(np.round(camera.camera_to_ego[1, 2], 6))

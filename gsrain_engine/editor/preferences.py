@@ -1,0 +1,146 @@
+"""The preferences of a session: at hand at once, and in their file soon after."""
+
+import logging
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import platformdirs
+from msgspec import Meta
+
+from ..safe_io.errors import converted
+from ..safe_io.text_files import read_whole, yaml_values
+from ..scene.files import locked, whole_file
+from .notifications import told
+
+
+class KeptPreferences:
+    """A value that follows every change; the file follows it in `thread`, one write at a time."""
+
+    def __init__(self, thread: ThreadPoolExecutor) -> None:
+        self.value, self.trouble = load_preferences()
+        """What is preferred, and one sentence when the file could not be used, which is told once."""
+        if self.trouble is not None and (aside := set_aside()) is not None:
+            self.trouble += f" (kept as {aside.name}; the usual settings are used)"
+        self._thread = thread
+        self._changed: dict[str, Any] = {}
+        self._saving: Future[Preferences] | None = None
+
+    def change(self, **fields: Any) -> None:
+        """Prefer something else.
+
+        Raises:
+            msgspec.ValidationError: When a value is out of its bounds; the message names it.
+        """
+        self.value = checked(msgspec.structs.replace(self.value, **fields))
+        self._changed.update(fields)
+
+    def poll(self) -> None:
+        """Write what has changed, unless a write is under way. Once a frame."""
+        if self._saving is not None and self._saving.done():
+            saving, self._saving = self._saving, None
+            if (error := saving.exception()) is not None:
+                told("The preferences can't be saved", Exception(str(error)))
+        if self._changed and self._saving is None:
+            changed, self._changed = self._changed, {}
+            self._saving = self._thread.submit(save_preferences, **changed)
+
+    def close(self) -> None:
+        """Write what has not been written yet."""
+        if self._changed:
+            self._thread.submit(save_preferences, **self._changed)
+
+
+# § Where the program keeps what belongs to a person and to no scene.
+
+
+def state_folder() -> Path:
+    """Recent files, autosaves of scenes that have no folder yet, and locks."""
+    return Path(platformdirs.user_state_dir("gsrain", appauthor=False))
+
+
+def config_folder() -> Path:
+    """Preferences and the window's layout."""
+    return Path(platformdirs.user_config_dir("gsrain", appauthor=False))
+
+
+# § What a person prefers, whatever the scene: one small file that several windows share.
+
+logger = logging.getLogger("gsrain")
+
+
+class Preferences(msgspec.Struct, frozen=True, kw_only=True):
+    """Settings of the program. What an older or newer program has written besides is passed over."""
+
+    theme: Annotated[
+        Literal["dark", "light"], Meta(title="Theme", description="Colours of panels and menus; the picture stays.")
+    ] = "dark"
+    font_scale: Annotated[
+        float, Meta(ge=0.5, le=3, title="Text size", description="Times the usual size.", extra={"unit": "x"})
+    ] = 1.0
+    ui_scale: Annotated[
+        float,
+        Meta(ge=0.5, le=3, title="Spacing", description="Size of buttons and gaps, times usual.", extra={"unit": "x"}),
+    ] = 1.0
+    autosave_s: Annotated[
+        float,
+        Meta(
+            ge=5,
+            le=600,
+            title="Autosave",
+            description="A change is kept beside the scene after so long; a crash loses what is younger.",
+            extra={"unit": "s"},
+        ),
+    ] = 20.0
+
+
+def load_preferences() -> tuple[Preferences, str | None]:
+    """Read the preferences, or defaults where there are none; and one sentence when the file can't be used."""
+    path = preferences_file()
+    try:
+        return converted(yaml_values(read_whole(path)), Preferences), None
+    except FileNotFoundError:
+        return Preferences(), None
+    except OSError as error:
+        return Preferences(), f"{path}: the preferences can't be read: {error.strerror or error}"
+    except ValueError as error:
+        return Preferences(), f"{path}: the preferences can't be used: {error}"
+
+
+def set_aside() -> Path | None:
+    """Move preferences that can't be used out of the way, so that what is in them is not lost; returns where to."""
+    aside = preferences_file().with_name("preferences.bad.yaml")
+    try:
+        return preferences_file().replace(aside)
+    except OSError:
+        return None
+
+
+def save_preferences(**fields: Any) -> Preferences:
+    """Change some preferences, whatever other windows have changed meanwhile; returns them all.
+
+    Raises:
+        msgspec.ValidationError: When a value is out of its bounds; the message names it.
+        OSError: When the file can't be written.
+    """
+    path = preferences_file()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with locked(path.parent):
+        changed = checked(msgspec.structs.replace(load_preferences()[0], **fields))
+        with whole_file(path) as beside:
+            beside.write_bytes(msgspec.yaml.encode(changed))
+    return changed
+
+
+def checked(preferences: Preferences) -> Preferences:
+    """Return the same preferences.
+
+    Raises:
+        msgspec.ValidationError: When a value is out of its bounds; the message names it.
+    """
+    return msgspec.convert(msgspec.to_builtins(preferences), Preferences)
+
+
+def preferences_file() -> Path:
+    return config_folder() / "preferences.yaml"

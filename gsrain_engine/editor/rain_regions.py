@@ -1,0 +1,227 @@
+"""Faces of a rain region as they are dragged in the view: where they can be gripped, and how far they are pulled."""
+
+import math
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal, NamedTuple
+
+import msgspec
+import numpy as np
+from jaxtyping import Float64
+
+from ..rain.settings import Box
+from ..render.draw import Shot, rain_anchor
+from ..scene.camera import Camera, look_at
+from ..scene.geometry import EDGES
+from .viewport.picking import NEAR_M, projected_lines, projected_point
+from .viewport_state import ViewedDocument
+
+RegionName = Literal["streak_region", "haze_region"]
+
+_END_ON_PX = 8.0
+"""A face that moves less than this for a tenth of its distance is seen end-on: the mouse's height moves it."""
+
+_FARTHEST_M, _THINNEST_M = 200.0, 0.1
+
+_LARGEST_M3 = {"streak_region": 5_000.0, "haze_region": 1e7}
+"""Streaks are simulated drop by drop: a larger region by hand would be a slip that stops the window."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaceHandle:
+    """One face of a region that can be seen."""
+
+    axis: int
+    upper: bool
+    point_m: Float64[np.ndarray, "3"]
+    """Middle of what is seen of the face, in the world."""
+    normal: Float64[np.ndarray, "3"]
+    """Outward, in the world."""
+
+    @property
+    def face(self) -> tuple[int, bool]:
+        """Axis, and whether it is its upper side."""
+        return self.axis, self.upper
+
+
+def face_handles(
+    box: Box, anchor_to_world: Float64[np.ndarray, "4 4"], camera: Camera, *, inset: float = 0.08
+) -> list[FaceHandle]:
+    """Handles of the faces that the camera sees a part of; they keep a share of the picture off its edges."""
+    low, high = np.array(box.minimum_m), np.array(box.maximum_m)
+    handles: list[FaceHandle] = []
+    for axis, upper in product(range(3), (False, True)):
+        middle = _seen_middle(_corners(low, high, axis, upper), anchor_to_world, camera, inset)
+        if middle is not None:
+            normal = anchor_to_world[:3, axis] * (1.0 if upper else -1.0)
+            handles.append(FaceHandle(axis, upper, middle, normal))
+    return handles
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FacePull:
+    """A face that is being pulled: what it was when it was gripped, and how the mouse moves it."""
+
+    handle: FaceHandle
+    box: Box
+    name: RegionName
+    camera: Camera
+    start_px: tuple[float, float]
+
+    def pulled(self, x: float, y: float) -> Box:
+        """Return the region with the face where the mouse pulls it; it stops where the region would be no good."""
+        axis, upper = self.handle.face
+        way = self._along(x, y) - self._along(*self.start_px)
+        low, high = list(self.box.minimum_m), list(self.box.maximum_m)
+        others = self.box.volume_m3 / self.box.size_m[axis]
+        thickest = _LARGEST_M3[self.name] / others
+        if upper:
+            most = max(min(_FARTHEST_M, low[axis] + thickest), high[axis])
+            high[axis] = float(np.clip(high[axis] + way, low[axis] + _THINNEST_M, most))
+        else:
+            least = min(max(-_FARTHEST_M, high[axis] - thickest), low[axis])
+            low[axis] = float(np.clip(low[axis] - way, least, high[axis] - _THINNEST_M))
+        corners = {"minimum_m": tuple(round(v, 3) for v in low), "maximum_m": tuple(round(v, 3) for v in high)}
+        return msgspec.convert(corners, Box)
+
+    @property
+    def is_end_on(self) -> bool:
+        """Whether the face moves along the line of sight, so that the mouse's height has to stand for it."""
+        here, there = (
+            projected_point(self.handle.point_m + step * self.handle.normal, self.camera)
+            for step in (0.0, self._distance / 10)
+        )
+        return there is None or here is None or math.hypot(there.x - here.x, there.y - here.y) < _END_ON_PX
+
+    def _along(self, x: float, y: float) -> float:
+        """How far along the normal, from the handle, a pixel is."""
+        point, normal, camera = self.handle.point_m, self.handle.normal, self.camera
+        if self.is_end_on:
+            farther = 1.0 if float(normal @ camera.world_to_camera[2, :3]) > 0 else -1.0
+            return -2.0 * farther * self._distance * y / camera.height
+        sight = np.array([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0])
+        sight = camera.world_to_camera[:3, :3].T @ sight
+        sight /= np.linalg.norm(sight)
+        across = sight - float(sight @ normal) * normal
+        return float((camera.position - point) @ (normal - float(sight @ normal) / float(across @ across) * across))
+
+    @property
+    def _distance(self) -> float:
+        return max(float(np.linalg.norm(self.handle.point_m - self.camera.position)), 0.5)
+
+
+def _corners(
+    low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"], axis: int, upper: bool
+) -> Float64[np.ndarray, "4 3"]:
+    """Corners of a face in order around it."""
+    u, v = (axis + 1) % 3, (axis + 2) % 3
+    corners = np.empty((4, 3))
+    corners[:, axis] = (high if upper else low)[axis]
+    corners[:, u] = [low[u], high[u], high[u], low[u]]
+    corners[:, v] = [low[v], low[v], high[v], high[v]]
+    return corners
+
+
+def _seen_middle(
+    corners_m: Float64[np.ndarray, "4 3"], anchor_to_world: Float64[np.ndarray, "4 4"], camera: Camera, inset: float
+) -> Float64[np.ndarray, "3"] | None:
+    """Centroid of what the camera sees of a face, in the world; None where it sees nothing."""
+    to_camera = camera.world_to_camera @ anchor_to_world
+    seen = corners_m @ to_camera[:3, :3].T + to_camera[:3, 3]
+    x, y, wide, high = camera.cx, camera.cy, camera.width, camera.height
+    left, right = (inset * wide - x) / camera.fx, ((1 - inset) * wide - x) / camera.fx
+    top, bottom = (inset * high - y) / camera.fy, ((1 - inset) * high - y) / camera.fy
+    planes = ((0, 0, 1, -NEAR_M), (1, 0, -left, 0), (-1, 0, right, 0), (0, 1, -top, 0), (0, -1, bottom, 0))
+    for plane in planes:
+        seen = _cut(seen, np.array(plane, np.float64))
+        if len(seen) < 3:
+            return None
+    to_world = np.linalg.inv(camera.world_to_camera)
+    return to_world[:3, :3] @ _centroid(seen) + to_world[:3, 3]
+
+
+def _cut(polygon: Float64[np.ndarray, "n 3"], plane: Float64[np.ndarray, "4"]) -> Float64[np.ndarray, "m 3"]:
+    """Keep what lies on the positive side of a plane (Sutherland and Hodgman, 1974)."""
+    side = polygon @ plane[:3] + plane[3]
+    kept: list[Float64[np.ndarray, 3]] = []
+    for k in range(len(polygon)):
+        here, there = polygon[k - 1], polygon[k]
+        a, b = float(side[k - 1]), float(side[k])
+        if (a > 0) != (b > 0):
+            kept.append(here + a / (a - b) * (there - here))
+        if b > 0:
+            kept.append(there)
+    return np.array(kept).reshape(-1, 3)
+
+
+def _centroid(polygon: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3"]:
+    triangles = np.stack([np.broadcast_to(polygon[0], polygon[1:-1].shape), polygon[1:-1], polygon[2:]], axis=1)
+    areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
+    return (triangles.mean(axis=1) * areas[:, None]).sum(axis=0) / max(float(areas.sum()), 1e-12)
+
+
+# § A look at a rain region from outside: cameras carry it along, so that most of its faces are out of their sight.
+
+_FROM = np.array([-0.75, 0.8, 0.62])
+"""From behind, left and above: x runs to the upper right, y to the upper left."""
+
+_FOV_DEG = 24.0
+
+_FILLED = 0.74
+"""Share of the picture that the region fills."""
+
+
+def inset_shot(box: Box, anchor_to_world: Float64[np.ndarray, "4 4"], width: int, height: int) -> Shot:
+    """Look at a whole region, whose frame stands in the world, from outside."""
+    turn = anchor_to_world[:3, :3]
+    middle = turn @ np.array(box.center_m) + anchor_to_world[:3, 3]
+    direction = turn @ (_FROM / np.linalg.norm(_FROM))
+    pose = look_at(middle + direction, middle, np.array([0.0, 0.0, 1.0]))
+    sides = np.array(list(product((-0.5, 0.5), repeat=3))) * np.array(box.size_m)
+    x, y, z = (sides @ turn.T @ pose[:3, :3].T).T
+    high = np.tan(np.radians(_FOV_DEG) / 2) * _FILLED
+    away = float(np.max(np.maximum(np.abs(x) * height / width, np.abs(y)) / high - z))
+    pose = look_at(middle + away * direction, middle, np.array([0.0, 0.0, 1.0]))
+    return Shot(Camera.from_fov(width, height, _FOV_DEG, pose))
+
+
+def frustum_lines(camera: Camera, length_m: float) -> Float64[np.ndarray, "8 2 3"]:
+    """Edges of what a camera sees up to a depth, as lines in the world."""
+    x0, x1 = -camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx
+    y0, y1 = -camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy
+    corners = length_m * np.array([[x0, y0, 1.0], [x1, y0, 1.0], [x1, y1, 1.0], [x0, y1, 1.0]])
+    corners = corners @ camera.world_to_camera[:3, :3] + camera.position
+    eye = np.broadcast_to(camera.position, (4, 3))
+    return np.concatenate([np.stack([eye, corners], axis=1), np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)])
+
+
+# § The rain regions as lines in the picture.
+
+
+class RegionOutline(NamedTuple):
+    """The edges of one region."""
+
+    name: str
+    lines_px: Float64[np.ndarray, "m 2 2"]
+    """Start and end of each edge that is in front of the camera, as x, y in pixels of the picture."""
+
+
+def region_outlines(session: ViewedDocument, width: int, height: int) -> list[RegionOutline]:
+    """Project the regions that the view options ask for."""
+    shown = []
+    if session.view.show_streak_region:
+        shown.append(("streak region", session.rain.streak_region))
+    if session.view.show_haze_region:
+        shown.append(("haze region", session.rain.haze_region))
+    shot = session.shot(width, height)
+    anchor = rain_anchor(session.shown_scene, session.shown_rainfall, shot)
+    return [RegionOutline(name, project_edges(box, anchor, shot.camera)) for name, box in shown]
+
+
+def project_edges(
+    box: Box, anchor_to_world: Float64[np.ndarray, "4 4"], camera: Camera
+) -> Float64[np.ndarray, "m 2 2"]:
+    """Project the twelve edges of a box, each cut off at the near plane."""
+    corners = np.array(list(product(*zip(box.minimum_m, box.maximum_m, strict=True))))
+    in_world = corners @ anchor_to_world[:3, :3].T + anchor_to_world[:3, 3]
+    return projected_lines(in_world[EDGES], camera)

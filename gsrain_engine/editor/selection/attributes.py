@@ -1,0 +1,252 @@
+"""What Gaussians can be told apart by: numbers of each, with their units."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple, no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float32, Float64, Int64
+
+from ...render.draw import Shot
+from ...scene.camera import Camera
+from ...scene.flags import Mask
+from ...scene.scene import Part, Scene
+from .candidates import base_colors, candidates, editable, selected, shown
+from .screen import camera_depths
+
+
+class Read(NamedTuple):
+    """What attributes are read from."""
+
+    part: Part
+    number: int
+    """Place of the member among all of the scene, from 1."""
+    ground_m: float
+    camera: Camera
+
+
+@dataclass(frozen=True)
+class Attribute:
+    """One number of each Gaussian."""
+
+    unit: str
+    help: str
+    values: Callable[[Read], Float32[np.ndarray, " n"]]
+    logarithmic: bool = False
+    by_camera: bool = False
+    """Whether it changes as the camera moves."""
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+    """What it can't go beyond."""
+
+
+def read_attribute(name: str, read: Read) -> Float32[np.ndarray, " n"]:
+    return np.asarray(ATTRIBUTES[name].values(read), np.float32)
+
+
+def readings(scene: Scene, time_s: float, camera: Camera) -> dict[str, Read]:
+    """Return what attributes of the candidates are read from, by their keys."""
+    numbers = {member.key: number for number, member in enumerate(scene.members, 1)}
+    ground = scene.ground_m or 0.0
+    return {each.key: Read(each.part, numbers[each.key], ground, camera) for each in candidates(scene, time_s)}
+
+
+def in_range(scene: Scene, time_s: float, camera: Camera, name: str, low: float, high: float) -> dict[str, Mask]:
+    """Find Gaussians of which an attribute lies within [low, high]."""
+    found: dict[str, Mask] = {}
+    for key, read in readings(scene, time_s, camera).items():
+        values = read_attribute(name, read)
+        found[key] = Mask.of((values >= low) & (values <= high))
+    return found
+
+
+def layer_names(scene: Scene) -> dict[int, str]:
+    """Names of the members that can be selected from, by their numbers."""
+    keys = {member.key for member in editable(scene)}
+    return {number: each.name for number, each in enumerate(scene.members, 1) if each.key in keys}
+
+
+def _size(read: Read) -> np.ndarray:
+    a, b, c = read.part.gaussians.scales.T
+    return np.maximum(np.maximum(a, b), c) * np.float32(_scale(read.part))
+
+
+def _scale(part: Part) -> float:
+    return float(np.cbrt(abs(np.linalg.det(part.to_world[:3, :3]))))
+
+
+def _elongation(read: Read) -> np.ndarray:
+    a, b, c = read.part.gaussians.scales.T
+    largest = np.maximum(np.maximum(a, b), c)
+    middle = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
+    return largest / np.maximum(middle, np.float32(1e-12))
+
+
+def _height(read: Read) -> np.ndarray:
+    row = read.part.to_world[2]
+    return read.part.gaussians.means @ row[:3].astype(np.float32) + np.float32(row[3] - read.ground_m)
+
+
+def _distance(read: Read) -> np.ndarray:
+    way = (read.camera.world_to_camera @ read.part.to_world).astype(np.float32)
+    x, y, z = (read.part.gaussians.means @ row[:3] + row[3] for row in way[:3])
+    return np.sqrt(x * x + y * y + z * z)
+
+
+def _hue(read: Read) -> np.ndarray:
+    return _hues(base_colors(read.part))
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _hues(colors):
+    """Angle of each colour on the wheel in degrees, 0 <= hue < 360; 0 for greys."""
+    hues = np.zeros(len(colors), np.float32)
+    for i in range(len(colors)):
+        red, green, blue = colors[i, 0], colors[i, 1], colors[i, 2]
+        high, low = max(red, green, blue), min(red, green, blue)
+        if high > low:
+            if high == red:
+                sixths = (green - blue) / (high - low)
+            elif high == green:
+                sixths = (blue - red) / (high - low) + 2
+            else:
+                sixths = (red - green) / (high - low) + 4
+            hues[i] = 60 * (sixths if sixths >= 0 else sixths + 6)
+    return hues
+
+
+def _saturation(read: Read) -> np.ndarray:
+    colors = base_colors(read.part)
+    high = np.maximum(np.maximum(colors[:, 0], colors[:, 1]), colors[:, 2])
+    low = np.minimum(np.minimum(colors[:, 0], colors[:, 1]), colors[:, 2])
+    return (high - low) / np.maximum(high, np.float32(1e-6))
+
+
+def _value(read: Read) -> np.ndarray:
+    colors = base_colors(read.part)
+    return np.maximum(np.maximum(colors[:, 0], colors[:, 1]), colors[:, 2])
+
+
+def _channel(channel: int) -> Callable[[Read], np.ndarray]:
+    return lambda read: base_colors(read.part)[:, channel]
+
+
+ATTRIBUTES: Mapping[str, Attribute] = {
+    "opacity": Attribute("", "Largest alpha of a Gaussian, 0..1.", lambda read: read.part.gaussians.opacities,
+                         bounds=(0.0, 1.0)),
+    "size": Attribute("m", "Standard deviation along a Gaussian's longest axis.", _size, logarithmic=True),
+    "elongation": Attribute("", "Longest axis over the second longest; needles are far to the right.", _elongation,
+                            logarithmic=True),
+    "height": Attribute("m", "Above the ground where it is known, else above 0 of the world.", _height),
+    "depth": Attribute("m", "Along the view axis of the camera; below 0 behind it.",
+                       lambda read: camera_depths(read.part, read.camera), by_camera=True),
+    "distance": Attribute("m", "From the camera.", _distance, logarithmic=True, by_camera=True),
+    "red": Attribute("", "Of the base colour as it is displayed, 0..1.", _channel(0)),
+    "green": Attribute("", "Of the base colour as it is displayed, 0..1.", _channel(1)),
+    "blue": Attribute("", "Of the base colour as it is displayed, 0..1.", _channel(2)),
+    "hue": Attribute("°", "0 red, 120 green, 240 blue.", _hue, bounds=(0.0, 360.0)),
+    "saturation": Attribute("", "0 grey, 1 a pure colour.", _saturation, bounds=(0.0, 1.0)),
+    "value": Attribute("", "The largest of red, green and blue, 0..1.", _value),
+    "layer": Attribute("", "Number of the layer or actor, in the order of the scene, from 1.",
+                       lambda read: np.full(len(read.part.gaussians), read.number, np.float32)),
+}  # fmt: skip
+"""The one table of attributes, by name."""
+
+# § How an attribute is spread over what is shown and over what is selected; worked out again only when it changes.
+
+BINS = 128
+
+_SAMPLE = 50_000
+"""Gaussians from which the range is taken: all but the outermost in a thousand."""
+
+
+class Histogram(NamedTuple):
+    """Counts by bins of equal width; of a logarithmic attribute the bins are of its decimal logarithm."""
+
+    edges: Float64[np.ndarray, " bins_and_one"]
+    """In the attribute's own unit."""
+    shown: Int64[np.ndarray, " bins"]
+    selected: Int64[np.ndarray, " bins"]
+    """What is beyond the edges counts in the outermost bins."""
+
+    def opened(self, low: float, high: float) -> tuple[float, float]:
+        """Return a range that reaches on without end where it reaches an outer edge."""
+        slack = 1e-6 * abs(float(self.edges[-1] - self.edges[0]))
+        return (low if low > self.edges[0] + slack else -np.inf, high if high < self.edges[-1] - slack else np.inf)
+
+    def count_within(self, low: float, high: float) -> int:
+        """How many are shown within a range, by whole bins whose middle lies in it."""
+        middles = (self.edges[1:] + self.edges[:-1]) / 2
+        return int(self.shown[(middles >= low) & (middles <= high)].sum())
+
+
+@dataclass(slots=True)
+class AttributeHistogram:
+    """Histograms of one attribute at a time."""
+
+    _values: dict[str, tuple[object, Float32[np.ndarray, " n"]]] = field(
+        default_factory=dict[str, "tuple[object, Float32[np.ndarray, ' n']]"]
+    )
+    _made_of: object = None
+    _made: Histogram | None = None
+
+    def of(self, scene: Scene, shot: Shot, name: str) -> Histogram:
+        """Return the histogram of an attribute over what can be selected, as `shot` sees it."""
+        key = (scene, name, shot.time_s if scene.actors else 0.0, *_view(shot, name))
+        if self._made is None or key != self._made_of:
+            self._made, self._made_of = self._make(scene, shot, name), key
+        return self._made
+
+    def _make(self, scene: Scene, shot: Shot, name: str) -> Histogram:
+        reads = readings(scene, shot.time_s, shot.camera)
+        self._values = {key: self._read(key, name, read, shot) for key, read in reads.items()}
+        values = {key: values for key, (_, values) in self._values.items()}
+        masks = {key: shown(scene.member(key)) for key in values}
+        low, high = _range(values, masks, ATTRIBUTES[name], step=name == "layer")
+        both = np.zeros((2, BINS), np.int64)
+        for key, own in values.items():
+            places = np.clip((own - np.float32(low)) * np.float32(BINS / (high - low)), 0, BINS - 1).astype(np.int16)
+            for row, mask in zip(both, (masks[key], selected(scene.member(key)) & masks[key]), strict=True):
+                if mask:
+                    row += np.bincount(places if mask.size == mask.count else places[mask.flags], minlength=BINS)
+        edges = np.linspace(low, high, BINS + 1)
+        return Histogram(10**edges if ATTRIBUTES[name].logarithmic else edges, both[0], both[1])
+
+    def _read(self, key: str, name: str, read: Read, shot: Shot) -> tuple[object, Float32[np.ndarray, " n"]]:
+        """Read an attribute, or its logarithm, unless nothing that it depends on has changed."""
+        part = read.part
+        colors = None if part.colors is None else part.colors.tobytes()
+        depends_on = (part.gaussians, part.to_world.tobytes(), colors, read.ground_m, name, read.number)
+        depends_on = (*depends_on, *_view(shot, name))
+        if key in self._values and self._values[key][0] == depends_on:
+            return self._values[key]
+        values = read_attribute(name, read)
+        if ATTRIBUTES[name].logarithmic:
+            values = np.log10(np.maximum(values, np.float32(1e-12)))
+        return depends_on, values
+
+
+def _view(shot: Shot, name: str) -> tuple[bytes, ...]:
+    return (shot.camera.world_to_camera.tobytes(),) if ATTRIBUTES[name].by_camera else ()
+
+
+def _range(
+    values: dict[str, Float32[np.ndarray, " n"]], masks: dict[str, Mask], attribute: Attribute, *, step: bool
+) -> tuple[float, float]:
+    sample = [_sampled(own[masks[key].flags]) for key, own in values.items() if masks[key]]
+    every = np.concatenate([np.zeros(0, np.float32), *sample])
+    every = every[np.isfinite(every)]
+    if not len(every):
+        return (-1.0, 0.0) if attribute.logarithmic else (0.0, 1.0)
+    low, high = (float(each) for each in np.quantile(every, (0.001, 0.999)))
+    if step:
+        return low - 0.5, high + 0.5
+    margin = max(0.02 * (high - low), 1e-3 * max(abs(low), abs(high)), 1e-6)
+    least, most = attribute.bounds
+    return max(low - margin, least), min(high + margin, most)
+
+
+def _sampled(values: Float32[np.ndarray, " m"]) -> Float32[np.ndarray, " k"]:
+    return values[:: max(1, len(values) // _SAMPLE)]

@@ -1,0 +1,258 @@
+"""Gaussians that a shape drawn over the picture takes in: all through, those in front, or down to a depth."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, no_type_check
+
+import cv2
+import numba
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int32
+
+from ...render.cpu.compositing import ViewWeights, accumulate, view_weights
+from ...render.cpu.projection import NEAR_M, project
+from ...render.draw import Shot
+from ...scene.camera import Camera
+from ...scene.flags import Mask
+from ...scene.scene import Part, Scene
+from .candidates import candidates
+
+Depths = Literal["all through", "front-most", "to a depth"]
+
+# § How much of each Gaussian is seen, through what is before it: what "front-most" goes by.
+
+LEAST_SHARE = 0.05
+"""Behind one opaque surface a share of 0.05 is left at most; neighbours that overlap on a surface keep more."""
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How far into the picture a shape reaches, and what it has to meet."""
+
+    depths: Depths = "all through"
+    depth_m: float = 20.0
+    """Along the view axis from the camera; counts where `depths` says so."""
+    touching: bool = False
+    """Whether a Gaussian is taken in that the shape touches within one standard deviation, not its centre only."""
+    least_share: float = LEAST_SHARE
+    """Share of a Gaussian that has to be seen for it to be in front."""
+
+
+ALL_THROUGH = Reach()
+
+
+def in_picture(
+    scene: Scene, shot: Shot, pixels: Bool[np.ndarray, "h w"], reach: Reach = ALL_THROUGH
+) -> dict[str, Mask]:
+    """Find what lies within a shape of the picture that `shot` takes; `pixels` are all of its pixels."""
+    camera, depth = shot.camera, reach.depth_m if reach.depths == "to a depth" else np.inf
+    found: dict[str, Mask] = {}
+    if not pixels.any():
+        return found
+    own = candidates(scene, shot.time_s)
+    find = _touched if reach.touching else _centered
+    for each in own:
+        found[each.key] = Mask.of(find(each.part, camera, pixels, depth))
+    if reach.depths == "front-most":
+        for key, shares in seen_shares(scene, shot, _box_around(pixels)).items():
+            if key in found:
+                found[key] = found[key] & Mask.of(shares >= reach.least_share)
+    return found
+
+
+def _box_around(pixels: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int]:
+    """Left, top, right, bottom of what is covered; the last two are past the end."""
+    columns, rows = np.flatnonzero(pixels.any(axis=0)), np.flatnonzero(pixels.any(axis=1))
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+
+
+def _centered(part: Part, camera: Camera, pixels: Bool[np.ndarray, "h w"], depth_m: float) -> Bool[np.ndarray, " n"]:
+    flags = np.empty(len(part.gaussians), np.bool_)
+    to_camera = np.ascontiguousarray((camera.world_to_camera @ part.to_world)[:3])
+    _find_centers(part.gaussians.means, to_camera, _intrinsics(camera), pixels, depth_m, flags)
+    return flags
+
+
+def _touched(part: Part, camera: Camera, pixels: Bool[np.ndarray, "h w"], depth_m: float) -> Bool[np.ndarray, " n"]:
+    splats = project([colorless(part)], camera)
+    touching = np.empty(len(splats), np.bool_)
+    _find_ellipses(splats.shapes, splats.colors, pixels, depth_m, touching)
+    flags = np.zeros(len(part.gaussians), np.bool_)
+    flags[splats.indices[touching]] = True
+    return flags
+
+
+def _intrinsics(camera: Camera) -> Sequence[float]:
+    return float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
+
+
+def camera_depths(part: Part, camera: Camera) -> Float64[np.ndarray, " n"]:
+    """Depth of each Gaussian along the view axis in metres; below 0 behind the eye."""
+    row = (camera.world_to_camera @ part.to_world)[2]
+    return part.gaussians.means @ row[:3] + row[3]
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check
+def _find_centers(means, m, intrinsics, pixels, depth, flags):
+    """Flag what is projected onto a flagged pixel, at least as far as a renderer draws and at most so deep."""
+    fx, fy, cx, cy = intrinsics
+    height, width = pixels.shape
+    for i in range(len(means)):
+        x, y, z = means[i, 0], means[i, 1], means[i, 2]
+        pz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+        flags[i] = False
+        if NEAR_M < pz <= depth:
+            near = 1 / pz
+            u = fx * near * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) + cx
+            v = fy * near * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) + cy
+            if 0 <= u < width and 0 <= v < height:
+                flags[i] = pixels[int(v), int(u)]
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check
+def _find_ellipses(shapes, colors, pixels, depth, flags):
+    """Flag splats whose centre, or one of eight places on their ellipse of one standard deviation, is flagged."""
+    height, width = pixels.shape
+    for i in range(len(shapes)):
+        flags[i] = False
+        if not 0 < colors[i, 3] <= depth:
+            continue
+        reach, shear = np.sqrt(-0.5 / shapes[i, 3]), shapes[i, 2]
+        rise = np.sqrt(-0.5 / shapes[i, 4])
+        for k in range(9):
+            along = 0.0 if k == 8 else np.cos(k * np.pi / 4) * reach
+            across = 0.0 if k == 8 else np.sin(k * np.pi / 4) * rise
+            u, v = shapes[i, 0] + along, shapes[i, 1] + shear * along + across
+            if 0 <= u < width and 0 <= v < height and pixels[int(v), int(u)]:
+                flags[i] = True
+                break
+
+
+# § What a hand draws over the picture, as flags of its pixels.
+
+Point = tuple[float, float]
+"""A place in the picture: pixels to the right and downwards from its upper left corner."""
+
+_SHIFT = 4
+"""Bits behind the point in which OpenCV takes coordinates."""
+
+_FARTHEST = 30_000.0
+"""Pixels; what lies farther outside is drawn from here: OpenCV's numbers end at 2^31 / 2^4."""
+
+
+def rectangle(first: Point, second: Point, width: int, height: int) -> Bool[np.ndarray, "h w"]:
+    """Pixels whose centres lie between two opposite corners, in any order."""
+    (left, right), (top, bottom) = (sorted(pair) for pair in zip(first, second, strict=True))
+    x, y = np.arange(width) + 0.5, np.arange(height) + 0.5
+    return np.logical_and.outer((top <= y) & (y <= bottom), (left <= x) & (x <= right))
+
+
+def polygon(corners: Sequence[Point], width: int, height: int) -> Bool[np.ndarray, "h w"]:
+    """Pixels whose centres lie inside a closed line, by the even-odd rule."""
+    # Each edge turns over everything to its right, in the rows that it crosses.
+    turns = np.zeros((height, width + 1), np.uint8)
+    for (x0, y0), (x1, y1) in zip(corners, [*corners[1:], *corners[:1]], strict=True):
+        low, high = sorted((y0, y1))
+        rows = np.arange(*(min(max(math.ceil(y - 0.5), 0), height) for y in (low, high)))
+        if len(rows):
+            crossings = x0 + (rows + 0.5 - y0) * ((x1 - x0) / (y1 - y0))
+            turns[rows, np.clip(np.ceil(crossings - 0.5), 0, width).astype(np.int64)] ^= 1
+    return np.ascontiguousarray(np.bitwise_xor.accumulate(turns, axis=1)[:, :width]).view(np.bool_)
+
+
+def stroke(points: Sequence[Point], radius_px: float, width: int, height: int) -> Bool[np.ndarray, "h w"]:
+    """Pixels that a disc passes over as it is moved through the points."""
+    picture = np.zeros((height, width), np.uint8)
+    fixed = _fixed(points)
+    radius = max(1, round(radius_px * (1 << _SHIFT)))
+    for center in fixed.tolist():
+        cv2.circle(picture, center, radius, (1,), cv2.FILLED, shift=_SHIFT)
+    for start, end in pairwise(fixed):
+        across = _across(start, end, radius)
+        if across is not None:
+            cv2.fillConvexPoly(picture, across, (1,), shift=_SHIFT)
+    return picture.view(np.bool_)
+
+
+def outlines(pixels: Bool[np.ndarray, "h w"]) -> list[Float64[np.ndarray, "_ 2"]]:
+    """Closed lines around what is covered, and around holes in it, to half a pixel."""
+    found, _ = cv2.findContours(pixels.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_TC89_L1)
+    return [line.reshape(-1, 2) + 0.5 for line in found]
+
+
+def _fixed(points: Sequence[Point]) -> Int32[np.ndarray, "k 2"]:
+    """Places in OpenCV's numbers, where a pixel's centre has whole ones."""
+    near = np.clip(np.array(points, np.float64).reshape(-1, 2), -_FARTHEST, _FARTHEST)
+    return np.round((near - 0.5) * (1 << _SHIFT)).astype(np.int32)
+
+
+def _across(start: Int32[np.ndarray, "2"], end: Int32[np.ndarray, "2"], radius: int) -> Int32[np.ndarray, "4 2"] | None:
+    """Corners of the band between two discs; None where they are the same."""
+    way = (end - start).astype(np.float64)
+    length = float(np.hypot(*way))
+    if length == 0:
+        return None
+    side = radius / length * np.array([-way[1], way[0]])
+    return np.round([start + side, end + side, end - side, start - side]).astype(np.int32)
+
+
+_MOST_PIXELS = 120_000
+"""Of the picture in which it is found out: coarser than the screen's, and several times faster."""
+
+
+def seen_shares(scene: Scene, shot: Shot, box: tuple[int, int, int, int]) -> dict[str, Float32[np.ndarray, " n"]]:
+    """Find the share of each Gaussian that is seen in a part of the picture, 0..1, by keys of visible members.
+
+    With its weights w of blending (3DGS, Kerbl et al. 2023) over the pixels, the share is 2 sum w^2 / (opacity sum w):
+    with w = T alpha and a T that is the same all over a Gaussian, that is T, what all that is nearer lets through.
+    `box`: left, top, right, bottom in pixels, the last two past the end.
+    """
+    members = [member for member in scene.members if member.visible]
+    shown = [(member.key, part) for member in members if (part := scene.part(member, shot.time_s)) is not None]
+    weights = view_weights([colorless(part) for _, part in shown], _cut_out(shot.camera, box))
+    sums, squared = _weight_sums(weights)
+    opacities = np.exp(weights.splats.shapes[:, 5])
+    shares = np.zeros(sum(len(part.gaussians) for _, part in shown), np.float32)
+    is_seen = sums > 0
+    seen = 2 * squared[is_seen] / (opacities[is_seen] * sums[is_seen])
+    shares[weights.splats.indices[is_seen]] = np.minimum(seen, 1)
+    ends = np.cumsum([len(part.gaussians) for _, part in shown])[:-1]
+    return {key: own for (key, _), own in zip(shown, np.split(shares, ends), strict=True)}
+
+
+def _cut_out(camera: Camera, box: tuple[int, int, int, int]) -> Camera:
+    """Camera of a part of the picture, in at most so many pixels."""
+    left, top, right, bottom = box
+    scale = min(1.0, (_MOST_PIXELS / ((right - left) * (bottom - top))) ** 0.5)
+    width, height = max(1, round((right - left) * scale)), max(1, round((bottom - top) * scale))
+    across, down = width / (right - left), height / (bottom - top)
+    return Camera(
+        width,
+        height,
+        camera.fx * across,
+        camera.fy * down,
+        (camera.cx - left) * across,
+        (camera.cy - top) * down,
+        camera.world_to_camera,
+        camera.exposure_s,
+    )
+
+
+def _weight_sums(weights: ViewWeights) -> tuple[Float32[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
+    """Sum of each splat's weights, and of their squares, in one walk through the picture."""
+    ones = np.ones((weights.tiles.height, weights.tiles.width, 3), np.float32)
+    gathered = accumulate(weights.splats.shapes, ones, weights.tiles)
+    return gathered[:, 0], gathered[:, 3]
+
+
+# § Parts without their colours, for what only asks where Gaussians are: harmonics are most of what a scene weighs.
+
+
+def colorless(part: Part) -> Part:
+    """Return a part all in grey; it takes no memory until somebody reads it."""
+    count = len(part.gaussians)
+    return part._replace(gaussians=part.gaussians.with_sh(np.zeros((count, 1, 3), np.float32)), colors=None)

@@ -1,0 +1,247 @@
+"""Gaussians within a ball or a box of the world, wherever the camera looks."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import no_type_check
+
+import numba
+import numpy as np
+import scipy
+from jaxtyping import Bool, Float64, Int64
+
+from ...scene.flags import Mask
+from ...scene.scene import Part, Scene
+from ..edits.gaussians import CropBox
+from .candidates import Candidate, Found, alike, base_color, candidates, selected, shown
+
+_LEAST_RADIUS_M = 0.01
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A ball in the world."""
+
+    center_m: tuple[float, float, float]
+    radius_m: float
+
+    def reaching(self, eye_m: Float64[np.ndarray, "3"], sight: Float64[np.ndarray, "3"]) -> "Ball":
+        """Return the ball around the same centre that a line of sight touches; `sight` is a unit vector."""
+        to_center = self.middle - eye_m
+        beside = to_center - (to_center @ sight) * sight
+        return replace(self, radius_m=max(float(np.linalg.norm(beside)), _LEAST_RADIUS_M))
+
+    @property
+    def middle(self) -> Float64[np.ndarray, "3"]:
+        return np.array(self.center_m)
+
+    def circles_m(self, points: int) -> Float64[np.ndarray, "3 points 3"]:
+        """Points on its three great circles that lie along two axes of the world each."""
+        angle = np.linspace(0, 2 * np.pi, points, endpoint=False)
+        flat = np.stack([np.cos(angle), np.sin(angle), np.zeros(points)], axis=1)
+        return self.middle + self.radius_m * np.stack([np.roll(flat, axis, axis=1) for axis in range(3)])
+
+    @property
+    def to_unit(self) -> Float64[np.ndarray, "4 4"]:
+        """Matrix that takes the world to where the ball is the unit ball."""
+        matrix = np.eye(4)
+        matrix[:3, :3] /= self.radius_m
+        matrix[:3, 3] = -self.middle / self.radius_m
+        return matrix
+
+
+Volume = Ball | CropBox
+
+
+def standing_on(box: CropBox, point_m: Float64[np.ndarray, "3"]) -> CropBox:
+    """Return the box with the middle of its bottom moved to a point."""
+    x, y, z = point_m.tolist()
+    return replace(box, center_m=(x, y, z + box.size_m[2] / 2))
+
+
+def in_volume(scene: Scene, time_s: float, volume: Volume) -> dict[str, Mask]:
+    """Find the Gaussians whose centres lie in a volume at a time, also those outside the picture."""
+    return {each.key: Mask.of(_inside(each.part, volume)) for each in candidates(scene, time_s)}
+
+
+def _inside(part: Part, volume: Volume) -> Bool[np.ndarray, " n"]:
+    flags = np.empty(len(part.gaussians), np.bool_)
+    to_unit = volume.to_unit if isinstance(volume, Ball) else np.linalg.inv(volume.to_world)
+    to_unit = np.ascontiguousarray((to_unit @ part.to_world)[:3])
+    _find_inside(part.gaussians.means, to_unit, isinstance(volume, Ball), flags)
+    return flags
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check
+def _find_inside(means, m, is_round, flags):
+    """Flag what a matrix takes into the unit ball, or into the cube from -1 to 1."""
+    for i in range(len(means)):
+        x, y, z = means[i, 0], means[i, 1], means[i, 2]
+        a = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+        b = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+        c = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+        if is_round:
+            flags[i] = a * a + b * b + c * c <= 1
+        else:
+            flags[i] = abs(a) <= 1 and abs(b) <= 1 and abs(c) <= 1
+
+
+# § Centres of Gaussians of several members in one array, and the way back to masks.
+
+
+def world_points(
+    members: Sequence[Candidate], among: Found
+) -> tuple[Float64[np.ndarray, "m 3"], Int64[np.ndarray, "m 2"]]:
+    """Centres in the world (metres) of Gaussians, and whose they are: place of the member in the list, own index.
+
+    In the order of members, then of indices.
+    """
+    points, owners = [np.zeros((0, 3))], [np.zeros((0, 2), np.int64)]
+    for number, each in enumerate(members):
+        mask = among.get(each.key)
+        if mask:
+            indices = mask.indices
+            to_world = each.part.to_world
+            points.append(each.part.gaussians.means[indices] @ to_world[:3, :3].T + to_world[:3, 3])
+            owners.append(np.stack([np.full(len(indices), number), indices], axis=1))
+    return np.concatenate(points), np.concatenate(owners)
+
+
+def by_member(members: Sequence[Candidate], owners: Int64[np.ndarray, "m 2"]) -> dict[str, Mask]:
+    """Masks of Gaussians that are told by their owners, see `world_points`."""
+    found: dict[str, Mask] = {}
+    for number, each in enumerate(members):
+        flags = np.zeros(len(each.part.gaussians), np.bool_)
+        flags[owners[owners[:, 0] == number, 1]] = True
+        found[each.key] = Mask.of(flags)
+    return found
+
+
+# § Selections that grow into what is near them, or shrink away from it.
+
+
+def grown(scene: Scene, time_s: float, distance_m: float) -> dict[str, Mask]:
+    """Find what is not selected and whose centre is at most so far from a selected one's."""
+    return _near(scene, time_s, distance_m, of_selected=True)
+
+
+def rim(scene: Scene, time_s: float, distance_m: float) -> dict[str, Mask]:
+    """Find what is selected and at most so far from what is shown and not: without it a selection has shrunk."""
+    return _near(scene, time_s, distance_m, of_selected=False)
+
+
+def _near(scene: Scene, time_s: float, distance_m: float, *, of_selected: bool) -> dict[str, Mask]:
+    own = candidates(scene, time_s)
+    members = [scene.member(each.key) for each in own]
+    inside = {each.key: selected(each) & shown(each) for each in members}
+    outside = {each.key: shown(each) - selected(each) for each in members}
+    sources, targets = (inside, outside) if of_selected else (outside, inside)
+    points, owners = world_points(own, targets)
+    return by_member(own, owners[_reached(points, world_points(own, sources)[0], distance_m)])
+
+
+def _reached(
+    points: Float64[np.ndarray, "m 3"], sources: Float64[np.ndarray, "k 3"], distance_m: float
+) -> Bool[np.ndarray, " m"]:
+    flags = np.zeros(len(points), np.bool_)
+    if not len(sources) or not len(points):
+        return flags
+    low, high = sources.min(axis=0) - distance_m, sources.max(axis=0) + distance_m
+    rows = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+    if not len(rows):
+        return flags
+    low, high = points[rows].min(axis=0) - distance_m, points[rows].max(axis=0) + distance_m
+    near = sources[((sources >= low) & (sources <= high)).all(axis=1)]
+    if len(near):
+        # Where a distance is beyond the bound it comes back as infinite.
+        tree = scipy.spatial.KDTree(near, balanced_tree=False, compact_nodes=False)
+        found, _ = tree.query(points[rows], distance_upper_bound=np.nextafter(distance_m, np.inf), workers=-1)
+        flags[rows] = found <= distance_m
+    return flags
+
+
+# § Gaussians that hang together with the one under the mouse and look like it.
+
+NEIGHBOURS = 8
+"""The distance to so many neighbours is what spacing means here."""
+
+_ROOM = 1 << 40
+"""More than any member has Gaussians: place of the member and own index are one number."""
+
+_EDGE = 1 << 20
+"""Cells from the seed to where nobody looks any more: three numbers of 21 bits are one key."""
+
+
+def flooded(scene: Scene, time_s: float, key: str, index: int, tolerance: float, reach: float) -> dict[str, Mask]:
+    """Find what a flood reaches that starts at a Gaussian.
+
+    It runs over Gaussians whose base colour differs from that one's by at most `tolerance` (0..1, each channel), and
+    from each cell of a grid to the 26 around it. A cell is `reach` times as wide as the alike are apart where it
+    starts: the distance to the eighth nearest of them.
+    """
+    own = candidates(scene, time_s)
+    seed = next(each for each in own if each.key == key)
+    similar = alike(scene, time_s, base_color(seed.part, index), tolerance)
+    points, owners = world_points(own, similar)
+    at = int(np.searchsorted(owners[:, 0] * _ROOM + owners[:, 1], own.index(seed) * _ROOM + index))
+    side = reach * _spacing(points, at)
+    cells = np.floor((points - points[at]) / side + 0.5)
+    flags = np.zeros(len(points), np.bool_)
+    near = np.flatnonzero(np.abs(cells).max(axis=1) < _EDGE)
+    flags[near] = _connected(cells[near].astype(np.int64), int(np.searchsorted(near, at)))
+    return by_member(own, owners[flags])
+
+
+def _spacing(points: Float64[np.ndarray, "m 3"], at: int) -> float:
+    """Distance in metres from one point to its eighth nearest; never 0."""
+    squares = ((points - points[at]) ** 2).sum(axis=1)
+    nearest = min(NEIGHBOURS, len(points) - 1)
+    return max(float(np.sqrt(np.partition(squares, nearest)[nearest])), 1e-6)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _connected(cells: Int64[np.ndarray, "m 3"], seed: int) -> Bool[np.ndarray, " m"]:
+    """Flag the points whose cells are reached from the seed's, from cell to neighbouring cell.
+
+    Cells lie in a hash table with open addressing, at most half full.
+    """
+    size = 16
+    while size < 2 * len(cells):
+        size *= 2
+    keys, slots = np.full(size, -1, np.int64), np.empty(len(cells), np.int64)
+    for i in range(len(cells)):
+        key = _key(cells[i, 0], cells[i, 1], cells[i, 2])
+        slot = _slot(keys, key)
+        keys[slot] = key
+        slots[i] = slot
+    reached, waiting, count = np.zeros(size, np.bool_), np.empty(size, np.int64), 1
+    reached[slots[seed]] = True
+    waiting[0] = slots[seed]
+    while count:
+        count -= 1
+        key = keys[waiting[count]]
+        x, y, z = (key >> 42) - _EDGE, ((key >> 21) & 0x1FFFFF) - _EDGE, (key & 0x1FFFFF) - _EDGE
+        for step in range(27):
+            slot = _slot(keys, _key(x + step // 9 - 1, y + step // 3 % 3 - 1, z + step % 3 - 1))
+            if keys[slot] >= 0 and not reached[slot]:
+                reached[slot] = True
+                waiting[count] = slot
+                count += 1
+    return reached[slots]
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _key(x, y, z):
+    return ((x + _EDGE) << 42) | ((y + _EDGE) << 21) | (z + _EDGE)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _slot(keys, key):
+    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
+    slot = np.int64((mixed ^ (mixed >> np.uint64(32))) & np.uint64(len(keys) - 1))
+    while keys[slot] >= 0 and keys[slot] != key:
+        slot = (slot + 1) & (len(keys) - 1)
+    return slot

@@ -1,0 +1,137 @@
+"""A document with the work around it: jobs, what a person is asked and prefers, a capture beside it."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import msgspec
+
+from ..rain.settings import Rain
+from ..scene.progress import Progress
+from ..scene.scene import Scene
+from .capture_view import CaptureView
+from .jobs.job import BackgroundJob, BackgroundWork
+from .notifications import Answer, Question, Questions, nothing, told
+from .preferences import KeptPreferences, Preferences
+from .viewport.options import Texture
+from .viewport_state import ViewedDocument
+
+
+class _Awaited(NamedTuple):
+    """Work that has to end before something is done."""
+
+    work: tuple[BackgroundWork, ...]
+    act: Callable[[], None]
+    question: Question
+
+
+class Desk(ViewedDocument):
+    """What the parts of a session know of it: they are given the desk that they lie on."""
+
+    def __init__(self, scene: Scene, rain: Rain | None, files: ThreadPoolExecutor) -> None:
+        """Begin with a scene; `files` is the thread where reading and writing happens."""
+        super().__init__(scene, rain)
+        self.jobs: list[BackgroundJob] = []
+        """Those that run and those that have ended, in the order of their start, until a person clears them."""
+        self.previews: dict[BackgroundJob, Texture] = {}
+        """What running jobs show of their work."""
+        self.statistics: dict[str, float] = {}
+        """Figures of the last frame, by name: the Statistics panel shows them in this order."""
+        self.captures = CaptureView()
+        self.questions = Questions()
+        self._awaited: _Awaited | None = None
+        self._preferences = KeptPreferences(files)
+        if self._preferences.trouble is not None:
+            self.questions.ask(Question("Preferences", self._preferences.trouble, (Answer("OK", nothing),)))
+
+    @property
+    def running_jobs(self) -> list[BackgroundJob]:
+        """Jobs that have not ended."""
+        return [job for job in self.jobs if job.state == "running"]
+
+    @property
+    def loose_results(self) -> list[str]:
+        """Names of results that are in no file and no document, and go with this one."""
+        return []
+
+    def start(self, job: BackgroundJob) -> None:
+        self.jobs.append(job)
+
+    def when_idle(self, work: Sequence[BackgroundWork], what: str, act: Callable[[], None]) -> None:
+        """Do what ends the work that still runs; a person says first whether to wait for jobs or to stop them.
+
+        `what` ends the sentence "Wait for it before you ...". Reading and writing of files, which takes seconds, is
+        waited for unasked.
+        """
+        self._wait_no_more()
+        running = tuple(each for each in work if each.state == "running")
+        jobs = [each for each in running if isinstance(each, BackgroundJob)]
+
+        def stop() -> None:
+            for job in jobs:
+                job.cancel()
+            self.when_idle(work, what, act)
+
+        def wait() -> None:
+            text = f"GSRAIN will {what} as soon as {names} {'has' if len(running) == 1 else 'have'} ended."
+            cancel = Answer("Cancel", self._wait_no_more, f"Don't {what}; the work goes on.")
+            answers = (Answer(f"Stop {them}", stop, losses), cancel) if jobs else (cancel,)
+            question = Question("Waiting", text, answers, progress, enter_answers=not jobs)
+            self._awaited = _Awaited(running, act, question)
+            if any(each.state == "running" for each in running):
+                self.questions.ask(question)
+
+        def progress() -> Progress:
+            first = next((each for each in running if each.state == "running"), running[-1])
+            return first.progress._replace(message=first.title)
+
+        if not running:
+            act()
+            return
+        names = " and ".join(each.title for each in running)
+        them, are = ("it", "is") if len(running) == 1 else ("them", "are")
+        losses = f"What {'is' if len(jobs) == 1 else 'are'} not through is lost; of a recording, the part so far stays."
+        if not jobs:
+            wait()
+            return
+        text = f"{names} {are} still at work. Wait for {them} before you {what}, or stop {them}?"
+        answers = (
+            Answer("Wait", wait, f"Take in the result, then {what}."),
+            Answer(f"Stop {them}", stop, losses),
+            Answer("Cancel", nothing, f"Don't {what}; the work goes on."),
+        )
+        self.questions.ask(Question("Work goes on", text, answers, progress))
+
+    @property
+    def is_awaiting(self) -> bool:
+        """Whether something is done as soon as work has ended."""
+        return self._awaited is not None
+
+    def _go_on_when_idle(self) -> None:
+        """Do what was waiting for work that has ended by now; where that has failed, leave it, and the reason shown."""
+        awaited = self._awaited
+        if awaited is None or any(each.state == "running" for each in awaited.work):
+            return
+        self._wait_no_more()
+        if all(each.state != "failed" for each in awaited.work):
+            awaited.act()
+
+    def _wait_no_more(self) -> None:
+        awaited, self._awaited = self._awaited, None
+        if awaited is not None:
+            self.questions.withdraw(awaited.question)
+
+    def clear_jobs(self) -> None:
+        self.jobs = self.running_jobs
+
+    @property
+    def preferences(self) -> Preferences:
+        """Settings of the program, whatever the scene."""
+        return self._preferences.value
+
+    def prefer(self, **fields: object) -> None:
+        """Change preferences and keep them; what is out of bounds is told in `problem`."""
+        try:
+            self._preferences.change(**fields)
+        except msgspec.ValidationError as error:
+            self.problem = told("That can't be preferred", error)

@@ -1,0 +1,262 @@
+"""Time in the scene: goes on in real seconds while it plays, so rain falls at its own speed at any frame rate."""
+
+import math
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from ..rain.keyframes import WITHOUT_CHANGE, Weather
+from ..scene.camera_path import CameraPath
+from ..scene.camera_path_edit import PathSpeed
+from ..scene.scene import Scene, Track
+from .viewport.camera import ORBIT_S
+
+_LONGEST_STALL_S = 0.25
+
+_LITTLE = 1e-6
+"""Of a frame: a moment as near as this to a frame is that frame's."""
+
+
+@dataclass(slots=True)
+class Clock:
+    """A clock that can be stopped, set and run at another speed, within a span or on and on."""
+
+    time_s: float = 0.0
+    playing: bool = True
+    speed: float = 1.0
+    loop: bool = True
+    """At the end of the span begin again; else stop there."""
+    span_s: tuple[float, float] | None = None
+    """First and last moment, where a person has set them."""
+
+    def toggle(self) -> None:
+        self.playing = not self.playing
+
+    def advance(self, real_s: float, span_s: tuple[float, float] | None = None) -> None:
+        """Let real seconds go by; at the end of the span it begins again or stops. Without a span it goes on and on."""
+        if not self.playing:
+            return
+        before, self.time_s = self.time_s, self.time_s + self.speed * real_s
+        if span_s is None or self.time_s < span_s[1]:
+            return
+        start, end = span_s
+        if self.loop:
+            beyond = self.time_s - end if before < end else 0.0  # set beyond the end: from the start
+            self.time_s = start + (beyond % (end - start) if end > start else 0.0)
+        elif before >= end:  # played to the end and started again
+            self.time_s = min(start + self.speed * real_s, end)
+        else:
+            self.time_s, self.playing = end, False
+
+    def seek(self, time_s: float) -> None:
+        """Set the time, not before 0."""
+        self.time_s = max(0.0, float(time_s))
+
+    def step(self, frames: int, fps: float) -> None:
+        """Stop, and go to a neighbouring frame of a film; between two frames, to the one on that side."""
+        self.playing = False
+        number = self.time_s * fps
+        whole = math.floor(number + _LITTLE) + frames if frames > 0 else math.ceil(number - _LITTLE) + frames
+        self.seek(whole / fps)
+
+
+@dataclass(slots=True)
+class Pace:
+    """The seconds from one frame to the next, without stalls."""
+
+    _last_s: float = 0.0
+
+    def step(self, real_s: float) -> float:
+        """Seconds to go on by after a frame that took so long.
+
+        A stall counts as a quarter of a second, so that nothing leaps. Where one frame after the other takes longer
+        than that it is no stall: time goes on at its own speed.
+        """
+        step_s, self._last_s = min(real_s, max(_LONGEST_STALL_S, self._last_s)), real_s
+        return step_s
+
+
+# § What the timeline shows and what is chosen there; not part of the document.
+
+
+class KeyDrag(NamedTuple):
+    """A key in the hand: every place of the hand gives the same path, whichever way led there."""
+
+    path: CameraPath
+    """As it was when the key was taken hold of; scene units and axes."""
+    key: int
+    copies: bool = False
+    """Leave the key where it is and drag a copy."""
+    in_view: bool = False
+    """Taken in the picture, not on the timeline."""
+    has_moved: bool = False
+    """Whether the hand has moved since: else it was a click."""
+
+    def begun(self) -> "KeyDrag":
+        return self._replace(has_moved=True)
+
+
+# § Where moments stand on a timeline, and which of them get a mark: between pixels and seconds.
+
+
+@dataclass(slots=True)
+class Ruler:
+    """The stretch of time that a timeline shows."""
+
+    first_s: float = 0.0
+    shown_s: float = 10.0
+    """Seconds over the whole width."""
+    width_px: float = 1.0
+
+    def x(self, time_s: float) -> float:
+        """Pixels from the left end to a moment."""
+        return (time_s - self.first_s) / self.shown_s * self.width_px
+
+    def time(self, x_px: float) -> float:
+        """Moment at so many pixels from the left end."""
+        return self.first_s + x_px / self.width_px * self.shown_s
+
+    def seconds(self, pixels: float) -> float:
+        """How long so many pixels are."""
+        return pixels / self.width_px * self.shown_s
+
+    def zoom(self, steps: float, x_px: float) -> None:
+        """Show less (positive) or more time, by a fifth a step; what is at a pixel stays there."""
+        held = self.time(x_px)
+        self.shown_s = float(np.clip(self.shown_s * 0.8**steps, _SHORTEST_S, _LONGEST_S))
+        self._begin_at(held - self.seconds(x_px))
+
+    def pan(self, pixels: float) -> None:
+        """Move what is shown along with the hand."""
+        self._begin_at(self.first_s - self.seconds(pixels))
+
+    def fit(self, first_s: float, last_s: float) -> None:
+        """Show a stretch of time whole."""
+        length = max(last_s - first_s, _SHORTEST_S)
+        self.shown_s = length * (1 + 2 * _MARGIN)
+        self.first_s = first_s - length * _MARGIN
+
+    def show(self, time_s: float) -> None:
+        """Go on by a page where a moment has left what is shown."""
+        if not self.first_s <= time_s <= self.first_s + self.shown_s:
+            self._begin_at(time_s - _MARGIN * self.shown_s)
+
+    def marks(self, apart_px: float) -> list[float]:
+        """Moments of the marks, at 1, 2 or 5 times a power of ten seconds, at least so many pixels apart."""
+        step = self.mark_step(apart_px)
+        first, last = np.ceil(self.first_s / step - 1e-9), np.floor((self.first_s + self.shown_s) / step + 1e-9)
+        return (np.arange(first, last + 1) * step).tolist()
+
+    def mark_step(self, apart_px: float) -> float:
+        """Seconds from mark to mark."""
+        least = max(self.seconds(apart_px), 1e-9)
+        ten = 10.0 ** np.floor(np.log10(least))
+        return float(next(nice * ten for nice in (*_NICE, 10.0) if nice * ten >= least * (1 - 1e-9)))
+
+    def _begin_at(self, time_s: float) -> None:
+        # A little before 0 stays to be seen, so that what stands at 0 can be taken hold of.
+        self.first_s = max(time_s, -_MARGIN * self.shown_s)
+
+
+@dataclass(slots=True)
+class Timeline:
+    """State of the Timeline panel."""
+
+    key: int | None = None
+    """Number of the chosen key, which an undo may have taken away: `camera_path.edits.chosen_key` looks."""
+    drag: KeyDrag | None = None
+    fps: float = 30.0
+    """Of the film: keys and steps keep to its frames."""
+    show_path: bool = True
+    """Draw the path and its keys into the picture."""
+    ruler: Ruler = field(default_factory=Ruler)
+    is_fitted: bool = False
+    """Whether the ruler has been set to show the scene's whole time."""
+    takes_keys: bool = False
+    """Whether the panel has the keyboard."""
+    asks_for_time: bool = False
+    """Whether the panel should let a moment be typed next."""
+
+
+@lru_cache(maxsize=4)
+def speed_of(path: CameraPath) -> PathSpeed:
+    """Speed of a path in the world; of the same path only worked out once."""
+    return PathSpeed.of(path)
+
+
+# § What stands on the timeline below the camera's keys: who is there from when to when, and how fast the ego drives.
+
+
+class TimelineRow(NamedTuple):
+    """One line of the timeline."""
+
+    title: str
+    help: str
+    spans_s: list[tuple[float, float]]
+    """From when to when something is there."""
+    keys_s: tuple[float, ...] = ()
+
+
+def content_span(scene: Scene, weather: Weather = WITHOUT_CHANGE) -> tuple[float, float]:
+    """From when to when something happens: the person's flight; else drive, traffic and weather; else one swing."""
+    if scene.path is not None and scene.path.duration_s > 0:
+        return scene.path.start_s, scene.path.end_s
+    tracks = [actor.track for actor in scene.actors] + ([scene.ego] if scene.ego is not None else [])
+    times = [(float(track.times[0]), float(track.times[-1])) for track in tracks if len(track.times) > 1]
+    if len(weather.keys) > 1:
+        times.append((weather.keys[0].time_s, weather.keys[-1].time_s))
+    if not times:
+        return 0.0, ORBIT_S
+    return max(0.0, min(first for first, _ in times)), max(last for _, last in times)
+
+
+def track_rows(scene: Scene) -> list[TimelineRow]:
+    """The ego vehicle and the actors."""
+    rows: list[TimelineRow] = []
+    if scene.ego is not None:
+        rows.append(TimelineRow("ego vehicle", "The vehicle that carries the cameras.", presence(scene.ego)))
+    for actor in scene.actors:
+        help_text = f"{actor.class_name or 'actor'}, in the scene while the bar lasts."
+        rows.append(TimelineRow(actor.name, help_text, presence(actor.track)))
+    return rows
+
+
+def weather_row(weather: Weather, first_s: float, last_s: float, most: int) -> TimelineRow:
+    """Keys of the rain within a stretch of time, at most so many of them: more would stand on top of one another."""
+    times = weather.times_s
+    seen = times[(times >= first_s) & (times <= last_s)]
+    thinned = seen[:: max(1, -(-len(seen) // most))]
+    spans = [(weather.keys[0].time_s, weather.keys[-1].time_s)] if len(weather.keys) > 1 else []
+    return TimelineRow(
+        "rain", "Keys of intensity, wind and exposure, set in the Shower panel.", spans, (*thinned.tolist(),)
+    )
+
+
+def presence(track: Track) -> list[tuple[float, float]]:
+    """From when to when a track's thing is in the scene, between its first sample and its last."""
+    there = track.valid[:-1].astype(np.int8)
+    edges = np.diff(np.concatenate([[0], there, [0]]))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return [(float(track.times[a]), float(track.times[b])) for a, b in zip(starts, ends, strict=True)]
+
+
+def ego_speed_km_h(scene: Scene, time_s: float) -> float | None:
+    """How fast the ego vehicle drives; None where there is none at that time."""
+    track = scene.ego
+    if track is None or len(track.times) < 2 or not track.times[0] <= time_s <= track.times[-1]:
+        return None
+    k = min(int(np.searchsorted(track.times, time_s, side="right")) - 1, len(track.times) - 2)
+    if not track.valid[k]:
+        return None
+    way = float(np.linalg.norm(track.positions[k + 1] - track.positions[k])) * scene.metres_per_unit
+    return 3.6 * way / float(track.times[k + 1] - track.times[k])
+
+
+_NICE = (1.0, 2.0, 5.0)
+
+_SHORTEST_S, _LONGEST_S = 0.1, 86400.0
+
+_MARGIN = 0.04
+"""Share of the width that stays free beside what is fitted."""

@@ -1,0 +1,1 @@
+"""Camera, navigation, picking and options of the viewport."""

@@ -1,0 +1,263 @@
+"""The viewer's camera: orbit around a point, fly, dolly, pan, frame the scene. World frame (metres, z up)."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float64
+
+from ...scene.camera import Camera, look_at
+from ...scene.camera_path import CameraPath, orbit_path
+from ...scene.rig import drive_path
+from ...scene.scene import Core, RigCamera, Scene, core_bounds
+
+_STEEPEST = np.radians(89.0)
+
+_UP = np.array([0.0, 0.0, 1.0])
+
+_NEAREST_M = 0.05
+"""Distance at which the wheel moves the target on."""
+
+SLOWEST_M_S, FASTEST_M_S = 0.05, 500.0
+
+
+@dataclass(slots=True)
+class Navigation:
+    """An eye with a heading and a pitch, and the distance of the point that it orbits."""
+
+    position: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.array([0.0, 0.0, 1.5]))
+    heading: float = 0.0
+    """Radians from +x to +y."""
+    pitch: float = 0.0
+    """Radians, upwards."""
+    distance_m: float = 5.0
+    """Of the point that orbit turns around."""
+    vertical_fov_deg: float = 50.0
+    speed_m_s: float = 5.0
+    velocity_m_s: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    """Of the last `fly`; rain slants for an eye that moves."""
+
+    @property
+    def forward(self) -> Float64[np.ndarray, "3"]:
+        """Unit vector of the line of sight."""
+        c = np.cos(self.pitch)
+        return np.array([c * np.cos(self.heading), c * np.sin(self.heading), np.sin(self.pitch)])
+
+    @property
+    def right(self) -> Float64[np.ndarray, "3"]:
+        """Unit vector to the right, level."""
+        return np.array([np.sin(self.heading), -np.cos(self.heading), 0.0])
+
+    @property
+    def target(self) -> Float64[np.ndarray, "3"]:
+        """The point that orbit turns around."""
+        return self.position + self.distance_m * self.forward
+
+    def camera(self, width: int, height: int) -> Camera:
+        """Camera of this eye for an image of a size."""
+        pose = look_at(self.position, self.position + self.forward, _UP)
+        return Camera.from_fov(width, height, self.vertical_fov_deg, pose)
+
+    def look_like(self, camera: Camera) -> None:
+        """Take the place, line of sight and field of view of a camera; roll is lost."""
+        forward = camera.world_to_camera[2, :3]
+        self.position = camera.position.copy()
+        self.heading = float(np.arctan2(forward[1], forward[0]))
+        self.pitch = float(np.clip(np.arcsin(np.clip(forward[2], -1, 1)), -_STEEPEST, _STEEPEST))
+        self.vertical_fov_deg = camera.vertical_fov_deg
+
+    def carry(self, similarity: Float64[np.ndarray, "4 4"]) -> None:
+        """Go along with a world that is moved, turned and scaled; roll is lost."""
+        scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+        x, y, z = similarity[:3, :3] @ self.forward / scale
+        self.position = similarity[:3, :3] @ self.position + similarity[:3, 3]
+        self.distance_m *= scale
+        self.heading = float(np.arctan2(y, x))
+        self.pitch = float(np.clip(np.arcsin(np.clip(z, -1, 1)), -_STEEPEST, _STEEPEST))
+
+    def orbit(self, right_rad: float, up_rad: float) -> None:
+        """Turn around the target: the scene seems to turn with the hand."""
+        target = self.target
+        self.turn(-right_rad, -up_rad)
+        self.position = target - self.distance_m * self.forward
+
+    def turn(self, left_rad: float, up_rad: float) -> None:
+        self.heading = float(np.mod(self.heading + left_rad + np.pi, 2 * np.pi) - np.pi)
+        self.pitch = float(np.clip(self.pitch + up_rad, -_STEEPEST, _STEEPEST))
+
+    def pan(self, right_share: float, up_share: float) -> None:
+        """Move across the line of sight by shares of the picture's height at the target's distance."""
+        metres = 2 * self.distance_m * np.tan(np.radians(self.vertical_fov_deg) / 2)
+        up = np.cross(self.right, self.forward)
+        self.position = self.position + metres * (right_share * self.right + up_share * up)
+
+    def dolly(self, steps: float, core: Core) -> None:
+        """Come nearer to the target (positive) or go away, by a tenth of the distance a step.
+
+        From outside of a scene's core the way leads to it: where it is out of sight the eye turns to it first. A target
+        that is reached moves on ahead; going away ends inside of a shell.
+        """
+        radius = max(core.radius_m, 1e-3)
+        self._mend(core)
+        gap = float(np.linalg.norm(self.position - np.clip(self.position, core.low, core.high)))
+        if gap > 0:
+            self.distance_m = float(np.clip(self.distance_m, gap + 0.5 * radius, gap + 2 * radius))
+            if not is_in_view(core, self.position, self.forward, self.vertical_fov_deg):
+                self._look_at(core.middle)
+        else:
+            self.distance_m = min(self.distance_m, 2 * radius)
+        distance = self.distance_m * 0.9**steps
+        moved = self.position + (self.distance_m - distance) * self.forward
+        before, after = (float(np.linalg.norm(each - core.middle)) for each in (self.position, moved))
+        if after > max(before, core.farthest_m):
+            return
+        self.position, self.distance_m = moved, max(distance, min(0.01 * radius, _NEAREST_M))
+
+    def fly(self, forward: float, right: float, up: float, real_s: float) -> None:
+        """Fly for a while; each direction is -1, 0 or 1."""
+        velocity = self.speed_m_s * (forward * self.forward + right * self.right + up * _UP)
+        self.velocity_m_s = velocity
+        self.position = self.position + velocity * real_s
+
+    @property
+    def is_flying(self) -> bool:
+        """Whether it has flown since it last stood still."""
+        return bool(np.any(self.velocity_m_s))
+
+    def stop(self) -> None:
+        self.velocity_m_s = np.zeros(3)
+
+    def change_speed(self, steps: float) -> None:
+        """Fly faster or slower, by a quarter a step."""
+        self.speed_m_s = float(np.clip(self.speed_m_s * 1.25**steps, SLOWEST_M_S, FASTEST_M_S))
+
+    def frame(self, core: Core) -> None:
+        """Back off along the line of sight until a scene's core fills the picture, but not out of the shell around."""
+        self._mend(core)
+        wanted = max(core.radius_m, 1e-3) / float(np.sin(np.radians(self.vertical_fov_deg) / 2))
+        self.distance_m = min(wanted, max(core.farthest_m, 1e-3))
+        self.position = core.middle - self.distance_m * self.forward
+
+    def _look_at(self, point: Float64[np.ndarray, "3"]) -> None:
+        x, y, z = (point - self.position).tolist()
+        self.heading = float(np.arctan2(y, x))
+        self.pitch = float(np.clip(np.arctan2(z, np.hypot(x, y)), -_STEEPEST, _STEEPEST))
+
+    def _mend(self, core: Core) -> None:
+        """Come back from a place that is no place: one that no arithmetic leads out of."""
+        if not np.isfinite([self.heading, self.pitch]).all():
+            self.heading = self.pitch = 0.0
+        far = 1e6 * (core.radius_m + 1.0)
+        if not (np.abs(self.position - core.middle) < far).all() or not 0 < self.distance_m < far:
+            self.distance_m = max(core.radius_m, 1e-3)
+            self.position = core.middle - self.distance_m * self.forward
+
+
+def is_in_view(
+    core: Core, eye: Float64[np.ndarray, "3"], forward: Float64[np.ndarray, "3"], vertical_fov_deg: float
+) -> bool:
+    """Whether a scene's core reaches into the circle within the picture's height; from inside of it always."""
+    away, radius = core.middle - eye, max(core.radius_m, 1e-3)
+    distance = float(np.linalg.norm(away))
+    if distance <= radius:
+        return True
+    between = np.arccos(np.clip(away @ forward / distance, -1, 1))
+    return bool(between - np.arcsin(radius / distance) < np.radians(vertical_fov_deg) / 2)
+
+
+# § Where a scene is first looked at from. World frame (metres, z up).
+
+_FOV_DEG = 50.0
+
+_LOOKING_DOWN_DEG = 8.0
+
+_LOOKING_DOWN_ON_FLAT_DEG = 25.0
+"""On what is wide and low, such as a street, which hides itself behind its first houses otherwise."""
+
+_MARGIN = 1.12
+"""Around the box, which leaves out 2 % along each axis."""
+
+ORBIT_S = 8.0
+"""How long the swing around a scene takes that has no drive."""
+
+ORBIT_DEG = 40.0
+"""Angle of that swing."""
+
+
+def home_camera(scene: Scene, width: int, height: int) -> Camera:
+    """Through the windscreen where the scene has an ego vehicle with a rig; else in front of the scene's middle."""
+    core, front = scene_core(scene), front_camera(scene)
+    if front is not None:
+        camera = drive_path(scene, front, width, height).camera(0.0, width, height)
+        if is_in_view(core, camera.position, camera.world_to_camera[2, :3], camera.vertical_fov_deg):
+            return camera
+    # Captures look along their +z when up is -y (COLMAP's axes), along +x when up is +z.
+    ahead = scene.scene_to_world[:3, 0 if scene.up == (0.0, 0.0, 1.0) else 2]
+    ahead = ahead - [0, 0, ahead[2]]
+    ahead = ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 1e-6 else np.array([1.0, 0, 0])
+    length, width_m, height_m = core.high - core.low
+    flat = 1.0 - min(2 * height_m / max(length, width_m, 1e-9), 1.0)
+    down = np.radians(_LOOKING_DOWN_DEG + flat * (_LOOKING_DOWN_ON_FLAT_DEG - _LOOKING_DOWN_DEG))
+    sight = np.cos(down) * ahead - np.sin(down) * np.array([0, 0, 1.0])
+    turn = look_at(np.zeros(3), sight, np.array([0.0, 0, 1]))[:3, :3]
+    eye = core.middle - sight * min(_fitting_distance(core, turn, width / height), max(core.farthest_m, 1e-3))
+    return Camera.from_fov(width, height, _FOV_DEG, look_at(eye, core.middle, np.array([0.0, 0, 1])))
+
+
+def _fitting_distance(core: Core, world_to_camera: Float64[np.ndarray, "3 3"], aspect: float) -> float:
+    """Distance from the middle at which a core fills the picture: its box with a margin, or the sphere around it."""
+    upright = np.tan(np.radians(_FOV_DEG) / 2)
+    sphere = max(core.radius_m, 1e-3) / np.sin(np.arctan(upright * min(aspect, 1.0)))
+    corners = np.stack(np.meshgrid(*zip(core.low, core.high, strict=True)), axis=-1).reshape(-1, 3) - core.middle
+    x, y, z = world_to_camera @ corners.T
+    box = np.max(np.maximum(np.abs(x) / (upright * aspect), np.abs(y) / upright) - z)
+    return float(min(sphere, _MARGIN * box + 1e-3))
+
+
+def default_path(scene: Scene, width: int, height: int) -> CameraPath:
+    """Drive with the ego vehicle where there is one; else swing around the middle. World frame."""
+    front = front_camera(scene)
+    if front is not None:
+        return drive_path(scene, front, width, height)
+    return orbit_around(scene, width, height)
+
+
+def orbit_around(
+    scene: Scene, width: int, height: int, duration_s: float = ORBIT_S, sweep_deg: float = ORBIT_DEG
+) -> CameraPath:
+    """Swing around a scene's middle, from one side of its home camera to the other, in so many seconds. World frame.
+
+    Raises `ValueError` where the time is not above 0.
+    """
+    if not duration_s > 0:
+        raise ValueError(f"an orbit of {duration_s:g} s: its time must be above 0 s")
+    return orbit_path(scene_core(scene).middle, home_camera(scene, width, height), duration_s, sweep_deg)
+
+
+def front_camera(scene: Scene) -> RigCamera | None:
+    """The rig camera that looks straight ahead; None where no vehicle drives or it has no cameras."""
+    if scene.ego is None or not len(scene.ego.times):
+        return None
+    mounted = [camera for rig in scene.rigs.values() for camera in rig]
+    return max(mounted, key=lambda each: each.camera_to_ego[0, 2], default=None)
+
+
+def scene_core(scene: Scene) -> Core:
+    """Find the dense core of what can be seen, and the sky around it; where no layer is shown, of the actors."""
+    layers = [each for each in scene.layers if each.visible]
+    shown = [each for each in layers if each.kind != "sky"] or [each for each in scene.actors if each.visible]
+    parts, sky = (
+        [part for each in members if (part := scene.part(each)) is not None]
+        for members in (shown, [each for each in layers if each.kind == "sky"])
+    )
+    return core_bounds(parts, sky)
+
+
+def home_navigation(scene: Scene, width: int, height: int, speed_m_s: float) -> Navigation:
+    """Stand at the home camera; turning goes around the middle, inside of the scene around what is 1 to 20 m ahead."""
+    camera, core = home_camera(scene, width, height), scene_core(scene)
+    navigation = Navigation(speed_m_s=speed_m_s)
+    navigation.look_like(camera)
+    in_front = float(camera.world_to_camera[2, :3] @ core.middle + camera.world_to_camera[2, 3])
+    is_outside = float(np.linalg.norm(core.middle - camera.position)) > core.radius_m
+    navigation.distance_m = max(in_front, 1e-3) if is_outside else float(np.clip(in_front, 1.0, 20.0))
+    return navigation

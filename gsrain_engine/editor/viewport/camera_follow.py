@@ -1,0 +1,171 @@
+"""A camera that goes along with a drive: behind the ego vehicle, or its own front camera. World frame, metres."""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from ...scene.camera import Camera
+from ...scene.camera_path import CameraPath
+from ...scene.scene import Actor, RigCamera, Scene
+from .camera import Navigation, default_path
+
+ChaseMode = Literal["behind", "front camera", "free"]
+
+_BEHIND_M, _ABOVE_M = 8.0, 3.0
+
+_LOOKS_AT_M, _AT_HEIGHT_M = 8.0, 1.0
+
+_FOV_DEG = 50.0
+
+
+class ChasedVehicle(NamedTuple):
+    """The ego vehicle at one moment."""
+
+    rig_to_world: Float64[np.ndarray, "4 4"]
+    speed_m_s: float
+    rig_height_m: float
+    """Of the rig's origin above the road."""
+    front_camera: RigCamera | None
+
+
+@dataclass(slots=True)
+class Chase:
+    """Carries the viewport's camera. A person may look around meanwhile; from the front camera that ends the ride."""
+
+    mode: ChaseMode = "free"
+    velocity_m_s: Float64[np.ndarray, "3"] | None = None
+    """Of the camera, by which rain slants; None where it goes its own way."""
+    _pose: Float64[np.ndarray, "4 4"] | None = None
+
+    def begin(self, mode: ChaseMode) -> None:
+        """Go along in a way from the next frame on, from its usual place."""
+        self.mode, self._pose, self.velocity_m_s = mode, None, None
+
+    def let_go(self) -> None:
+        """Leave a place that is fixed to the vehicle: a person looks elsewhere."""
+        if self.mode == "front camera":
+            self.begin("free")
+
+    def ride(self, vehicle: ChasedVehicle, navigation: Navigation) -> None:
+        self.velocity_m_s = None
+        if self.mode == "free":
+            return
+        pose = vehicle.rig_to_world
+        self.velocity_m_s = vehicle.speed_m_s * pose[:3, 0]
+        if self.mode == "front camera":
+            _look_from_front(vehicle, navigation)
+        elif self._pose is None:
+            _stand_behind(vehicle, navigation)
+        elif not np.array_equal(self._pose, pose):
+            navigation.carry(pose @ np.linalg.inv(self._pose))
+        self._pose = pose
+
+
+def _stand_behind(vehicle: ChasedVehicle, navigation: Navigation) -> None:
+    ahead = np.array([_BEHIND_M + _LOOKS_AT_M, 0.0, _AT_HEIGHT_M - _ABOVE_M])
+    to_world, origin = vehicle.rig_to_world[:3, :3], vehicle.rig_to_world[:3, 3]
+    navigation.position = to_world @ np.array([-_BEHIND_M, 0.0, _ABOVE_M - vehicle.rig_height_m]) + origin
+    x, y, z = to_world @ ahead
+    navigation.heading = float(np.arctan2(y, x))
+    navigation.pitch = float(np.arctan2(z, np.hypot(x, y)))
+    navigation.distance_m = float(np.linalg.norm(ahead))
+    navigation.vertical_fov_deg = _FOV_DEG
+
+
+def _look_from_front(vehicle: ChasedVehicle, navigation: Navigation) -> None:
+    front = vehicle.front_camera
+    if front is None:
+        return
+    to_camera = np.linalg.inv(vehicle.rig_to_world @ front.camera_to_ego)
+    navigation.look_like(
+        Camera(front.width, front.height, front.fx, front.fy, front.cx, front.cy, to_camera, front.exposure_s)
+    )
+
+
+# § A camera that goes with an actor and keeps its offset to it, while a person still looks around.
+
+
+@dataclass(slots=True)
+class Following:
+    """Which actor is followed, and where it was when it was last looked at. World frame, metres."""
+
+    key: str = ""
+    """Of the actor; "" follows none."""
+    velocity_m_s: Float64[np.ndarray, "3"] | None = None
+    """Of the ride; None while nothing is followed or time stands."""
+    _pose: Float64[np.ndarray, "4 4"] | None = None
+    _time_s: float = 0.0
+
+    def follow(self, key: str) -> None:
+        """Go with an actor from where the camera is now; "" lets go."""
+        self.key, self._pose, self.velocity_m_s = key, None, None
+
+    def ride(self, scene: Scene, time_s: float, navigation: Navigation) -> None:
+        """Carry the camera to where the actor has gone since the last call, and turn it as the actor has turned.
+
+        While the actor is not in the scene the camera stays; a leap in time is a leap of the camera.
+        """
+        actor = next((each for each in scene.actors if each.key == self.key), None)
+        pose = _level_pose(scene, actor, time_s) if actor is not None else None
+        before, self.velocity_m_s = self._pose, None
+        if actor is None:
+            self.key = ""
+        if pose is not None and before is not None and not np.array_equal(pose, before):
+            step = pose @ np.linalg.inv(before)
+            moved = step[:3, :3] @ navigation.position + step[:3, 3]
+            if time_s > self._time_s:
+                self.velocity_m_s = (moved - navigation.position) / (time_s - self._time_s)
+            navigation.turn(float(np.arctan2(step[1, 0], step[0, 0])), 0.0)
+            navigation.position = moved
+        if pose is not None or actor is None:
+            self._pose = pose
+        self._time_s = time_s
+
+
+def _level_pose(scene: Scene, actor: Actor, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
+    """Where an actor is and which way it heads: it may pitch and roll, the camera does not."""
+    way = actor.way(time_s)
+    if way is None:
+        return None
+    pose = scene.scene_to_world @ way
+    heading = float(np.arctan2(pose[1, 0], pose[0, 0]))
+    c, s = np.cos(heading), np.sin(heading)
+    level = np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+    level[:3, 3] = pose[:3, 3]
+    return level
+
+
+# § The way that riding along and recording take, in the world: a person's own path, or one that every scene has.
+
+Matrix = Float64[np.ndarray, "4 4"]
+
+_VIEW_SIZE = (960, 640)  # shape of the picture that the default path's field of view is chosen for
+
+
+class Ride:
+    """Keeps the path of the present scene; while nothing that it depends on changes it is the very same value."""
+
+    def __init__(self) -> None:
+        self._own: tuple[CameraPath, Matrix, CameraPath] | None = None
+        self._default: tuple[tuple[object, object], Matrix, CameraPath] | None = None
+
+    def path(self, scene: Scene) -> CameraPath:
+        """Path of a scene, in the world (metres, z up)."""
+        to_world = scene.scene_to_world
+        if scene.path is None:
+            return self._default_path(scene, to_world)
+        if self._own is None or self._own[0] is not scene.path or not np.array_equal(self._own[1], to_world):
+            self._own = scene.path, to_world, scene.path.moved(to_world)
+        return self._own[2]
+
+    def _default_path(self, scene: Scene, to_world: Matrix) -> CameraPath:
+        # Layers are left aside: what is hidden or deleted shall not move a path that a person rides along.
+        drive = scene.ego, scene.rigs
+        if self._default is None or any(a is not b for a, b in zip(self._default[0], drive, strict=True)):
+            self._default = drive, to_world, default_path(scene, *_VIEW_SIZE)
+        elif not np.array_equal(self._default[1], to_world):
+            step = to_world @ np.linalg.inv(self._default[1])
+            self._default = drive, to_world, self._default[2].moved(step)
+        return self._default[2]

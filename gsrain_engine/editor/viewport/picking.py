@@ -1,0 +1,267 @@
+"""What is under a pixel: the Gaussian that a person means by pointing at it, and the point of its surface."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from ...rain.simulation import mean_sky
+from ...render.cpu.projection import Splats, project
+from ...render.draw import Shot
+from ...render.renderer import Color, Renderer
+from ...scene.camera import Camera
+from ...scene.gaussians import Gaussians
+from ...scene.geometry import matrices_from_quaternions
+from ...scene.scene import Actor, Layer, Part, Scene
+
+_LEAST_ALPHA = 0.1
+"""A pixel that is covered less than this shows nothing to point at."""
+
+
+class Picked(NamedTuple):
+    """What is under a pixel."""
+
+    key: str
+    """Of the member that it belongs to."""
+    gaussian: int
+    """Of the Gaussian among the member's."""
+    point_m: Float64[np.ndarray, "3"]
+    """Where the line of sight meets its surface, in the world."""
+
+
+def pick_point(scene: Scene, shot: Shot, x: float, y: float) -> Float64[np.ndarray, "3"] | None:
+    """Return the point of the world (metres) that is seen at a pixel; None where nothing or only sky is.
+
+    Pixels count from the picture's upper left corner; the centre of the first is at 0.5, 0.5. Locked members count,
+    hidden and deleted Gaussians do not.
+    """
+    picked = pick(scene, shot, x, y, _is_thing)
+    return None if picked is None else picked.point_m
+
+
+def pick(
+    scene: Scene, shot: Shot, x: float, y: float, among: Callable[[Layer | Actor], bool] | None = None
+) -> Picked | None:
+    """Find the Gaussian that is seen at a pixel, among some of the visible members (None: among all of them).
+
+    It is the one by which, from the eye on, half of what covers the pixel is passed: neither a faint veil before a
+    surface nor what shimmers through it. None where nothing covers the pixel.
+    """
+    members, parts = _shown(scene, shot.time_s, among)
+    splats = project(parts, _pixel_camera(shot.camera, x, y))
+    rows, weights = _weights(parts, splats)
+    if not len(rows) or weights.sum() < _LEAST_ALPHA:
+        return None
+    row = rows[np.searchsorted(np.cumsum(weights), weights.sum() / 2)]
+    number, index = _owner(parts, int(splats.indices[row]))
+    point = _surface_point(parts[number], index, shot.camera, x, y)
+    return Picked(members[number].key, index, point)
+
+
+def _is_thing(member: Layer | Actor) -> bool:
+    return not (isinstance(member, Layer) and member.kind == "sky")
+
+
+def _shown(
+    scene: Scene, time_s: float, among: Callable[[Layer | Actor], bool] | None
+) -> tuple[list[Layer | Actor], list[Part]]:
+    members: list[Layer | Actor] = []
+    parts: list[Part] = []
+    for member in scene.members:
+        if member.visible and (among is None or among(member)):
+            part = scene.part(member, time_s)
+            if part is not None:
+                members.append(member)
+                parts.append(part)
+    return members, parts
+
+
+def _pixel_camera(camera: Camera, x: float, y: float) -> Camera:
+    """Camera of one pixel, with its centre at x, y of the whole picture."""
+    cx, cy = camera.cx - x + 0.5, camera.cy - y + 0.5
+    return Camera(1, 1, camera.fx, camera.fy, cx, cy, camera.world_to_camera, camera.exposure_s)
+
+
+def _weights(parts: list[Part], splats: Splats) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
+    """Rows of splats that cover the pixel, nearest first, and their blending weights."""
+    order = splats.nearest_first().astype(np.int64)
+    order = order[_is_drawn(parts, splats.indices[order])]
+    shapes = splats.shapes[order].astype(np.float64)
+    dx, dy = 0.5 - shapes[:, 0], 0.5 - shapes[:, 1]
+    log_alpha = shapes[:, 5] + shapes[:, 3] * dx**2 + shapes[:, 4] * (dy - shapes[:, 2] * dx) ** 2
+    alpha = np.where(log_alpha > shapes[:, 6], np.minimum(np.exp(log_alpha), 0.999), 0.0)
+    transmittance = np.cumprod(1 - alpha)
+    return order, alpha * np.concatenate([[1.0], transmittance[:-1]])[: len(alpha)]
+
+
+def _is_drawn(parts: list[Part], indices: Int64[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+    drawn = np.ones(len(indices), bool)
+    first = 0
+    for part in parts:
+        own = (indices >= first) & (indices < first + len(part.gaussians))
+        if part.left_out is not None:
+            drawn[own] = ~part.left_out.flags[indices[own] - first]
+        first += len(part.gaussians)
+    return drawn
+
+
+def _owner(parts: list[Part], index: int) -> tuple[int, int]:
+    """Which part a Gaussian belongs to that is counted through all of them, and which of its own it is."""
+    for number, part in enumerate(parts):
+        if index < len(part.gaussians):
+            return number, index
+        index -= len(part.gaussians)
+    raise IndexError(index)
+
+
+def _surface_point(part: Part, index: int, camera: Camera, x: float, y: float) -> Float64[np.ndarray, "3"]:
+    """Where a Gaussian is densest along the line of sight through a pixel: for a flat one, where it is cut."""
+    to_object = np.linalg.inv(part.to_world)
+    sight = camera.world_to_camera[:3, :3].T @ [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0]
+    eye = to_object[:3, :3] @ camera.position + to_object[:3, 3]
+    own = _whitening(part.gaussians, index)
+    start, way = own @ (eye - part.gaussians.means[index]), own @ (to_object[:3, :3] @ sight)
+    depth = max(float(-(start @ way) / (way @ way)), 0.0)
+    return camera.position + depth * sight
+
+
+def _whitening(gaussians: Gaussians, index: int) -> Float64[np.ndarray, "3 3"]:
+    """Matrix that makes a ball of radius 1 of one Gaussian."""
+    scales = gaussians.scales[index].astype(np.float64)
+    scales = np.maximum(scales, max(1e-3 * scales.max(), 1e-9))
+    rotation = matrices_from_quaternions(gaussians.quaternions[index].astype(np.float64))
+    return rotation.T / scales[:, None]
+
+
+# § Points and lines of the world in the picture.
+
+NEAR_M = 0.05
+
+
+class Seen(NamedTuple):
+    """A point in the picture."""
+
+    x: float
+    y: float
+    depth_m: float
+
+
+def projected_point(point: Float64[np.ndarray, "3"], camera: Camera) -> Seen | None:
+    """A point of the world (metres) in pixels; None before the near plane."""
+    x, y, z = (camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]).tolist()
+    return Seen(camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z) if z > NEAR_M else None
+
+
+def projected_lines(lines: Float64[np.ndarray, "n 2 3"], camera: Camera) -> Float64[np.ndarray, "m 2 2"]:
+    """Lines of the world (metres) in pixels, cut off at the near plane."""
+    seen = lines @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    depth = seen[..., 2]
+    seen = seen[(depth > NEAR_M).any(axis=1)]
+    start, end = seen[:, 0], seen[:, 1]
+    behind = seen[..., 2] < NEAR_M
+    rise = np.where(behind.any(axis=1), end[:, 2] - start[:, 2], 1.0)
+    crossing = start + ((NEAR_M - start[:, 2]) / rise)[:, None] * (end - start)
+    seen = np.where(behind[..., None], crossing[:, None], seen)
+    focal, center = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+    return focal * seen[..., :2] / seen[..., 2:] + center
+
+
+# § What a gizmo library wants to know of a camera, and what its handles mean: 4x4 matrices, column by column.
+
+Handle = Literal["translate", "rotate", "scale"]
+
+_NEAR_M, _FAR_M = 0.05, 5000.0
+
+
+def opengl_view(camera: Camera) -> list[float]:
+    """World to eye in OpenGL's axes (x right, y up, z backward)."""
+    return column_major(np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.world_to_camera)
+
+
+def opengl_projection(camera: Camera) -> list[float]:
+    """Eye to clip space of OpenGL, by the camera's own focal lengths and centre."""
+    matrix = np.zeros((4, 4))
+    matrix[0, 0], matrix[0, 2] = 2 * camera.fx / camera.width, 1 - 2 * camera.cx / camera.width
+    matrix[1, 1], matrix[1, 2] = 2 * camera.fy / camera.height, 2 * camera.cy / camera.height - 1
+    matrix[2, 2] = -(_FAR_M + _NEAR_M) / (_FAR_M - _NEAR_M)
+    matrix[2, 3] = -2 * _FAR_M * _NEAR_M / (_FAR_M - _NEAR_M)
+    matrix[3, 2] = -1
+    return column_major(matrix)
+
+
+def column_major(matrix: Float64[np.ndarray, "4 4"]) -> list[float]:
+    """Sixteen numbers, one column after the other."""
+    return matrix.T.ravel().tolist()
+
+
+def from_column_major(values: Float32[np.ndarray, "16"]) -> Float64[np.ndarray, "4 4"]:
+    """Matrix of sixteen numbers, one column after the other."""
+    return values.astype(np.float64).reshape(4, 4).T
+
+
+def standing_at(point_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
+    """Frame at a point of the world, with the world's axes."""
+    frame = np.eye(4)
+    frame[:3, 3] = point_m
+    return frame
+
+
+def dragged_by(
+    handle: Handle, start: Float64[np.ndarray, "4 4"], now: Float64[np.ndarray, "4 4"]
+) -> Float64[np.ndarray, "4 4"]:
+    """Similarity of the world by which a handle took a gizmo's frame from `start` to `now`.
+
+    A gizmo computes in single precision and scales each axis on its own: what a handle does not mean is left out, and
+    the axis that was scaled most scales all three, around the gizmo's place.
+    """
+    there, back, way = standing_at(start[:3, 3]), standing_at(-start[:3, 3]), np.eye(4)
+    if handle == "translate":
+        way[:3, 3] = now[:3, 3] - start[:3, 3]
+        return way
+    change = now[:3, :3] @ np.linalg.inv(start[:3, :3])
+    if handle == "scale":
+        factors = np.clip(np.linalg.norm(change, axis=0), 1e-3, 1e3)
+        way[:3, :3] *= factors[np.argmax(np.abs(np.log(factors)))]
+    else:
+        u, _, v = np.linalg.svd(change)  # the nearest rotation
+        way[:3, :3] = u @ v
+    return there @ way @ back
+
+
+# § The colour of a part of the picture without rain, for drops to take: picked by hand where no sky is found.
+
+
+@dataclass(frozen=True, slots=True)
+class SkyPick:
+    """A rectangle of the picture, in shares of its width and height from the upper left corner."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+    @classmethod
+    def between(cls, a: tuple[float, float], b: tuple[float, float]) -> "SkyPick":
+        """Span two corners; what lies outside the picture is cut off."""
+        (left, right), (top, bottom) = (sorted(np.clip(pair, 0.0, 1.0).tolist()) for pair in zip(a, b, strict=True))
+        return cls(left, top, right, bottom)
+
+
+def color_there(
+    renderer: Renderer, scene: Scene, shot: Shot, pick: SkyPick, background: Color, wetness: float = 0.0
+) -> Color:
+    """Draw a scene without rain and average a rectangle of it in linear light; at least one pixel."""
+    renderer.draw(scene.parts(shot.time_s, wetness=wetness), shot.camera)
+    rgba = renderer.read().rgba
+    height, width = rgba.shape[:2]
+    x0, x1 = _pixels(pick.left, pick.right, width)
+    y0, y1 = _pixels(pick.top, pick.bottom, height)
+    seen = rgba[y0:y1, x0:x1].reshape(-1, 4).astype(np.float64)
+    return mean_sky(np.clip(seen[:, :3] + (1 - seen[:, 3:]) * np.array(background), 0, 1))
+
+
+def _pixels(low: float, high: float, count: int) -> tuple[int, int]:
+    first = min(int(low * count), count - 1)
+    return first, max(first + 1, min(round(high * count), count))

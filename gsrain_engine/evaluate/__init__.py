@@ -1,1 +1,0 @@
-"""How close what is made is to what cameras see."""

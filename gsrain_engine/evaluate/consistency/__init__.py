@@ -1,1 +1,0 @@
-"""Whether views of one place agree with each other, before and after a transfer."""

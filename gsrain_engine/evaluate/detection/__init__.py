@@ -1,1 +1,0 @@
-"""What object detectors find in pictures: ONNX files run, matched with labelled objects, scored."""

@@ -1,1 +1,0 @@
-"""What a lidar measures in the rain that the cameras see."""

@@ -1,0 +1,1 @@
+"""Measuring images: FID, consistency, streaks, detection, lidar."""

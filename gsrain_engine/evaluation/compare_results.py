@@ -1,0 +1,339 @@
+"""How well each method's views agree with each other, over the same pairs of views."""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isnan
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta, Struct
+
+from ..appearance.base import TransferSettings
+from ..appearance.dsine_checkout import check_checkout
+from ..appearance.finetune.dataset import PictureSettings
+from ..appearance.registry import method_names
+from ..appearance.scene_views import ViewChoice
+from ..presets import load_values
+from ..safe_io.errors import converted
+from ..safe_io.text_files import printable
+from ..scene.open import STREET
+from .consistency import Agreement, ComparedViews, agreements, open_compared, pooled
+from .fid import DistributionDistance
+
+
+class PairedViews:
+    """The pairs of neighbouring views that all methods are measured on."""
+
+    def __init__(self, folders: Sequence[Path], neighbours: int) -> None:
+        """Find the pairs in the first folder that has the most views; raises `CaptureError` for a broken folder."""
+        opened = [open_compared(folder) for folder in folders]
+        fullest = max(opened, key=lambda each: len(each.views))
+        names = _names(fullest)
+        self._pairs = [(names[i], names[j]) for i, j in fullest.chosen(neighbours)]
+
+    def agreement(self, folder: Path) -> tuple[int, Agreement | None, Agreement | None]:
+        """Return the number of pairs, and their pooled agreement everywhere and outside the water film.
+
+        See `warp_error`: display values of 0..1, 0 is best, and a ratio of 1 changes nothing. Pairs of which a view is
+        missing are left out; None where none is left, or nobody knows the film.
+        """
+        compared = open_compared(folder)
+        index = {name: i for i, name in enumerate(_names(compared))}
+        pairs = [(index[of], index[to]) for of, to in self._pairs if of in index and to in index]
+        rows = list(agreements(compared.views, pairs, has_clear=compared.has_clear))
+        dry = [row.outside_film for row in rows if row.outside_film is not None]
+        return len(rows), pooled(row.everywhere for row in rows), pooled(dry)
+
+
+def _names(compared: ComparedViews) -> list[str]:
+    return [view.clear.name for view in compared.views]
+
+
+# § The rows of a comparison: as Markdown for a paper or an issue, as CSV, and as plain values.
+
+Value = str | int | float | None
+
+_KERNEL_SCALE = 1000
+
+_LEVELS = 255
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComparedRow:
+    """What is known of one method."""
+
+    name: str
+    method: str
+    distance: DistributionDistance
+    pairs: int = 0
+    everywhere: Agreement | None = None
+    """Of neighbouring views; None where nobody knows where they were taken, or none show the same place."""
+    outside_film: Agreement | None = None
+    seconds: float | None = None
+    """Of its transfer, when it ran."""
+
+    @property
+    def values(self) -> dict[str, Value]:
+        """Return the table's columns, units in the names.
+
+        The Frechet distance (>= 0, 0 is best) is called FID of Inception's features alone, else FD- and the
+        extractor; the kernel distance (0 is best) KID or KD-, times 1000. "low" and "high" are ends of their 95 %
+        intervals, "same" what the Frechet distance would be of two sets so large of one distribution. Errors are the
+        root of the mean square between neighbouring views warped onto each other, in levels of 255 (0 is best), and
+        "ratio" after over before (1 changes nothing), also "per contrast", for a transfer that greys everything lowers
+        errors, and outside the water film ("dry"). Sources: `evaluate.distribution` and `evaluate.consistency`.
+        """
+        distance, kernel = self.distance, f"{self.distance.kernel_metric} x1000"
+        low, high = (_KERNEL_SCALE * each for each in distance.kernel_interval)
+        return {
+            "method": self.name,
+            "N": distance.fake_pictures,
+            "N real": distance.real_pictures,
+            distance.metric: distance.frechet,
+            f"{distance.metric} low": distance.frechet_interval.low,
+            f"{distance.metric} high": distance.frechet_interval.high,
+            "same": distance.same.mean,
+            kernel: _KERNEL_SCALE * distance.kernel,
+            f"{kernel} low": low,
+            f"{kernel} high": high,
+            "pairs": self.pairs,
+            "error before": _error(self.everywhere, of_clear=True),
+            "error after": _error(self.everywhere, of_clear=False),
+            "ratio": _ratio(self.everywhere),
+            "per contrast": _contrast_ratio(self.everywhere),
+            "dry ratio": _ratio(self.outside_film),
+            "seconds": self.seconds,
+        }
+
+
+def markdown(rows: Sequence[ComparedRow]) -> str:
+    """Write a table in Markdown: intervals in brackets behind their values, the best distance in bold."""
+    distance = rows[0].distance
+    kernel = f"{distance.kernel_metric} x1000"
+    titles = ["method", "N", f"{distance.metric} [95 %]", "same", f"{kernel} [95 %]", "error before", "error after",
+              "ratio", "per contrast", "dry ratio", "seconds"]  # fmt: skip
+    best = min(row.distance.frechet for row in rows)
+    lines = [_line(titles), _line(["---", *["---:"] * (len(titles) - 1)])]
+    for row in rows:
+        values = row.values
+        frechet = _within(values, distance.metric)
+        cells = [row.name, str(values["N"]), f"**{frechet}**" if row.distance.frechet == best else frechet]
+        cells += [_said(values["same"]), _within(values, kernel)]
+        cells += [_said(values[each]) for each in titles[5:]]
+        lines.append(_line(cells))
+    real = distance.real_pictures
+    lines += [
+        "",
+        f'Compared with {real} real pictures; features: {distance.extractor}. "same": the distance of two sets',
+    ]
+    lines[-1] += (
+        " so large of one distribution. Errors of warped neighbouring views in levels of 255; dry: outside water."
+    )
+    return "\n".join(lines) + "\n"
+
+
+def comma_separated(rows: Sequence[ComparedRow]) -> str:
+    """Write all columns as CSV, in full precision; what is not known is empty."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(rows[0].values)
+    writer.writerows(row.values.values() for row in rows)
+    return text.getvalue()
+
+
+def plain(row: ComparedRow) -> dict[str, Any]:
+    """Return a row for JSON, with its extractor and what is to be said about it."""
+    distance = row.distance
+    return {
+        "name": row.name,
+        "method": row.method,
+        "metric": distance.metric,
+        "kernel_metric": distance.kernel_metric,
+        "extractor": distance.extractor,
+        "real_pictures": distance.real_pictures,
+        "fake_pictures": distance.fake_pictures,
+        "frechet": distance.frechet,
+        "frechet_interval": list(distance.frechet_interval),
+        "same": {"mean": distance.same.mean, "interval": list(distance.same.interval)},
+        "kernel": distance.kernel,
+        "kernel_interval": list(distance.kernel_interval),
+        "pairs": row.pairs,
+        "rmse_before": _rmse(row.everywhere, of_clear=True),
+        "rmse_after": _rmse(row.everywhere, of_clear=False),
+        "ratio": _ratio(row.everywhere),
+        "contrast_ratio": _contrast_ratio(row.everywhere),
+        "dry_ratio": _ratio(row.outside_film),
+        "seconds": row.seconds,
+        "warnings": list(distance.warnings),
+    }
+
+
+def _rmse(agreement: Agreement | None, *, of_clear: bool) -> float | None:
+    if agreement is None:
+        return None
+    error = agreement.before if of_clear else agreement.after
+    return None if error is None else error.rmse
+
+
+def _error(agreement: Agreement | None, *, of_clear: bool) -> float | None:
+    rmse = _rmse(agreement, of_clear=of_clear)
+    return None if rmse is None else _LEVELS * rmse
+
+
+def _ratio(agreement: Agreement | None) -> float | None:
+    return None if agreement is None or isnan(agreement.ratio) else agreement.ratio  # JSON has no NaN
+
+
+def _contrast_ratio(agreement: Agreement | None) -> float | None:
+    return None if agreement is None or isnan(agreement.contrast_ratio) else agreement.contrast_ratio
+
+
+def _within(values: dict[str, Value], name: str) -> str:
+    return f"{_said(values[name])} [{_said(values[f'{name} low'])}, {_said(values[f'{name} high'])}]"
+
+
+def _said(value: Value) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+# § What is compared with what: one value, which is a YAML file.
+
+CLEAR = "clear"
+"""The method that changes nothing: how far clear pictures are from rainy ones."""
+
+SHIPPED = "comparisons"
+"""Folder of sample_configs with the comparisons that the program ships."""
+
+USUAL_WIDTH_PX = 512
+"""Of all pictures where nothing is said: the paper's."""
+
+_FILES = (
+    *("source", "capture", "real", "path", "extractor_weights"),
+    *("weights", "images", "base", "normals_weights", "normals_checkout"),
+)
+"""Fields that name files."""
+
+_FIELDS = TransferSettings.__struct_fields__
+
+
+class ComparedMethod(TransferSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One row: a transfer with its settings under a name; settings that its method does not take change nothing."""
+
+    name: Annotated[
+        str,
+        Meta(
+            pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.+-]*$",
+            max_length=60,
+            title="Name",
+            description="In the table; its pictures go into a folder of this name.",
+        ),
+    ]
+    method: Annotated[str, Meta(title="Method", description="clear, or one of those of gsrain transfer.")]
+
+    @property
+    def settings(self) -> TransferSettings:
+        """The transfer's own settings."""
+        return TransferSettings(**{field: getattr(self, field) for field in _FIELDS})
+
+
+class Comparison(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Views, real rainy pictures, and methods that make the views rainy.
+
+    Views are those of `source`, then `real` says what is rainy, or those of `pictures`: the part of them that its
+    training has never seen, clear and rainy.
+    """
+
+    methods: Annotated[tuple[ComparedMethod, ...], Meta(min_length=1, title="Methods")]
+    source: Annotated[str | None, Meta(title="Source", description="A scene, street, or a capture.")] = None
+    capture: Annotated[
+        Path | None, Meta(title="Capture", description="Where a scene's recorded cameras come from.")
+    ] = None
+    real: Annotated[
+        tuple[Path, ...], Meta(title="Real", description="Folders or captures of rainy pictures that cameras took.")
+    ] = ()
+    pictures: Annotated[
+        PictureSettings | None, Meta(title="Pictures", description="As a training has them; its test part is taken.")
+    ] = None
+    views: Annotated[ViewChoice, Meta(title="Views", description="Of the source; pictures only take its width.")] = (
+        ViewChoice()
+    )
+    extractor: Annotated[str, Meta(title="Extractor", description="As gsrain evaluate fid has it.")] = "inception"
+    extractor_weights: Annotated[
+        Path | None, Meta(title="Extractor's weights", description="None: those of this machine.")
+    ] = None
+    resamples: Annotated[int, Meta(ge=20, le=10_000, title="Resamples", description="For the intervals.")] = 200
+    seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Of the intervals.")] = 0
+    neighbours: Annotated[
+        int, Meta(ge=1, le=16, title="Neighbours", description="That each view is compared with for consistency.")
+    ] = 2
+    columns: Annotated[int, Meta(ge=1, le=12, title="Columns", description="Views on the figure, evenly.")] = 4
+    shown: Annotated[
+        tuple[str, ...], Meta(title="Shown", description="Names of the figure's views instead, in this order.")
+    ] = ()
+
+    @property
+    def width_px(self) -> int:
+        """Of all pictures that are compared, at most."""
+        return self.views.width_px or USUAL_WIDTH_PX
+
+    def only(self, names: tuple[str, ...]) -> "Comparison":
+        """Keep the methods of these names; raises ValueError for a name that there is not."""
+        there = {each.name: each for each in self.methods}
+        for name in names:
+            if name not in there:
+                raise ValueError(f"no method {name!r}, only {', '.join(there)}")
+        return msgspec.structs.replace(self, methods=tuple(each for each in self.methods if each.name in names))
+
+
+def load_comparison(name: str | Path) -> Comparison:
+    """Read a comparison from a file, or a shipped one by its name.
+
+    Files that it names are looked for in its own folder first, then in the working folder. Raises ValueError, which
+    names the file, the field, and what would be right; `UntrustedCodeError` where it names a program that no person has
+    allowed to run.
+    """
+    values = load_values(SHIPPED, name, "comparison", _FILES, {STREET})
+    try:
+        comparison = converted(values, Comparison, dec_hook=_path)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+    problem = _problem(comparison)
+    if problem is not None:
+        raise ValueError(f"{name}: {printable(problem)}")
+    for each in (*comparison.methods, *([comparison.pictures] if comparison.pictures is not None else [])):
+        check_checkout(name, each.normals, each.normals_checkout)
+    return comparison
+
+
+def _path(kind: type, value: object) -> Path:
+    """Make paths of text, which msgspec leaves to its user."""
+    if kind is not Path or not isinstance(value, str):
+        raise ValueError(f"Expected `path`, got `{type(value).__name__}`")
+    return Path(value)
+
+
+def _problem(comparison: Comparison) -> str | None:
+    if (comparison.source is None) == (comparison.pictures is None):
+        return "expected either source or pictures - at `$.source`"
+    if comparison.pictures is not None and comparison.real:
+        return "pictures have rainy ones of their own, real goes with source - at `$.real`"
+    if comparison.source is not None and not comparison.real:
+        return "expected folders of real rainy pictures - at `$.real`"
+    known = [CLEAR, *method_names()]
+    taken: set[str] = set()
+    for i, each in enumerate(comparison.methods):
+        if each.method not in known:
+            return f"no method {each.method!r}, only {', '.join(known)} - at `$.methods[{i}].method`"
+        if each.name.lower() in taken:  # folders of such names are one on some disks
+            return f"{each.name!r} is there twice - at `$.methods[{i}].name`"
+        taken.add(each.name.lower())
+    return None

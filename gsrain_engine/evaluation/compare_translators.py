@@ -1,0 +1,406 @@
+"""A comparison from its settings to its table: transfers, features, distances, agreement, figure."""
+
+import json
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+import numpy as np
+from jaxtyping import Bool, Float64, UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from ..appearance.base import ClearView, RainyView, Transfer
+from ..appearance.capture_views import capture_views
+from ..appearance.cyclegan_turbo.weight_paths import find_base, find_weights
+from ..appearance.finetune.dataset import Picture, PictureSettings, open_pictures
+from ..appearance.normal_estimators import WEIGHTS
+from ..appearance.output_folder import (
+    TransferRecord,
+    check_transferred_folder,
+    is_transferred_folder,
+    read_record,
+    read_transferred,
+    write_transferred,
+)
+from ..appearance.registry import method_of, open_transfer
+from ..appearance.scene_views import evenly
+from ..appearance.wet_look.environment import PictureSurroundings, Surroundings
+from ..datasets.capture import Capture, CaptureError
+from ..datasets.image_override import flat_name
+from ..datasets.open_capture import open_capture
+from ..datasets.undistort import prepared
+from ..safe_io.limits import read_file
+from ..scene.files import whole_file
+from ..scene.progress import Progress
+from .compare_results import CLEAR, ComparedMethod, ComparedRow, Comparison, PairedViews
+from .fid import LEAST_PICTURES, FeatureCache, SeenPictures, compared, seen
+from .fid_features import Extractor
+from .input_fingerprint import stamp
+
+_TRANSFERS, _FEATURES = 0.8, 0.9
+"""Shares of the progress at which a part is done; learned transfers take most of the time."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ComparisonResult:
+    """What came of a comparison."""
+
+    rows: tuple[ComparedRow, ...]
+    figure: UInt8[np.ndarray, "h w 3"]
+    shown: tuple[str, ...]
+    """Names of the views on the figure."""
+    kept: tuple[str, ...]
+    """Methods whose pictures stood from an earlier run."""
+    has_cameras: bool
+    """Whether neighbouring views could be compared."""
+    notes: tuple[str, ...] = ()
+    """What the methods could not do, a sentence each."""
+
+
+# § What all methods of a comparison start from: clear views, and real rainy pictures to be compared with.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ComparedSource:
+    """Clear views in the world, worked out when they are asked for."""
+
+    name: str
+    views: Sequence[ClearView]
+    surroundings: Surroundings
+    to_world: Float64[np.ndarray, "4 4"]
+    """Similarity from the units and axes of the scene or capture to the world."""
+    mask: Callable[[str], Bool[np.ndarray, "h w"] | None]
+    """By name of a view, which of its pixels may be learned from; None means all."""
+    has_cameras: bool
+    """Whether it is known where the views were taken: only then can they be compared with each other."""
+    stamp: str
+    """Changes with the files that the views come from."""
+
+
+def run_comparison(
+    comparison: Comparison,
+    source: ComparedSource,
+    real: Capture,
+    extractor: Extractor,
+    cache: FeatureCache | None,
+    output: Path,
+) -> Generator[Progress, None, ComparisonResult]:
+    """Make what is missing, and compare. Stopped anywhere and run again, it goes on with the next method.
+
+    Args:
+        comparison: What is compared; `check_methods` has passed it.
+        source: Clear views.
+        real: Rainy pictures that cameras took.
+        extractor: What looks at them.
+        cache: Where features are kept.
+        output: Folder, in which each method has one of its name.
+
+    Raises:
+        ValueError: Where a transfer or a picture fails, with the method's row; before anything else for too few views.
+    """
+    for name, count in ((source.name, len(source.views)), (real.name, len(real))):
+        if count < LEAST_PICTURES:
+            raise ValueError(f"{name}: {count} pictures; a distribution takes at least {LEAST_PICTURES}")
+    output.mkdir(parents=True, exist_ok=True)
+    folders: list[MethodFolder] = []
+    for number, method in enumerate(comparison.methods):
+        for made in method_folder(method, source, comparison, output):
+            if isinstance(made, MethodFolder):
+                folders.append(made)
+                if number == 0 and method.method != "images":  # which may lack some views
+                    shown_views(folders, comparison.shown, comparison.columns)
+                continue
+            share = (number + made / len(source.views)) / len(comparison.methods)
+            yield Progress(_TRANSFERS * share, f"{method.name}: view {made} of {len(source.views)}")
+    looked = yield from _looked(folders, real, extractor, cache)
+    rows = yield from _rows(comparison, source, folders, looked, extractor)
+    names = shown_views(folders, comparison.shown, comparison.columns)
+    kept = tuple(each.method.name for each in folders if each.was_kept)
+    figure = comparison_figure(folders, names)
+    notes = tuple(f"{each.method.name}, {note}" for each in folders for note in each.notes)
+    return ComparisonResult(tuple(rows), figure, tuple(names), kept, source.has_cameras, notes)
+
+
+# § The transferred pictures of each method, a folder each; one that stands and was made the same way is kept.
+
+
+@dataclass(frozen=True, slots=True)
+class MethodFolder:
+    """Where the pictures of a method lie."""
+
+    method: ComparedMethod
+    folder: Path
+    seconds: float | None
+    """That its transfer took when it ran, model loading included; None where it was stopped before that was written."""
+    was_kept: bool
+    """Whether it stood there from an earlier run."""
+    notes: tuple[str, ...] = ()
+    """What its transfer could not do, a sentence each."""
+
+
+def _looked(
+    folders: Sequence[MethodFolder], real: Capture, extractor: Extractor, cache: FeatureCache | None
+) -> Generator[Progress, None, list[SeenPictures]]:
+    """Features of the real pictures, then of each method's."""
+    looked: list[SeenPictures] = []
+    for number, each in enumerate([None, *folders]):
+        name = "real" if each is None else each.method.name
+        share = number / (len(folders) + 1)
+        yield Progress(_TRANSFERS + (_FEATURES - _TRANSFERS) * share, f"{name}: features")
+        looked.append(seen(name, real if each is None else open_capture(each.folder), extractor, cache))
+    return looked
+
+
+def _rows(
+    comparison: Comparison,
+    source: ComparedSource,
+    folders: Sequence[MethodFolder],
+    looked: Sequence[SeenPictures],
+    extractor: Extractor,
+) -> Generator[Progress, None, list[ComparedRow]]:
+    rows: list[ComparedRow] = []
+    paired: PairedViews | None = None
+    if source.has_cameras:
+        paired = PairedViews([each.folder for each in folders], comparison.neighbours)
+    for number, (each, own) in enumerate(zip(folders, looked[1:], strict=True)):
+        name = each.method.name
+        yield Progress(_FEATURES + (1 - _FEATURES) * number / len(folders), f"{name}: distances")
+        distance = compared(extractor, looked[0], own, resamples=comparison.resamples, seed=comparison.seed)
+        yield Progress(_FEATURES + (1 - _FEATURES) * (number + 0.5) / len(folders), f"{name}: neighbouring views")
+        pairs, everywhere, dry = (0, None, None) if paired is None else paired.agreement(each.folder)
+        rows.append(
+            ComparedRow(name=name, method=each.method.method, distance=distance, pairs=pairs, everywhere=everywhere,
+                        outside_film=dry, seconds=each.seconds)
+        )  # fmt: skip
+    return rows
+
+
+_SECONDS = "seconds.json"
+
+_FILES = ("weights", "base", "images", "normals_weights", "normals_checkout")
+
+
+class Untouched:
+    """A `Transfer` that leaves views as they are."""
+
+    name = CLEAR
+
+    def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
+        for view in views:
+            yield RainyView(view, view.image)
+
+
+def check_methods(comparison: Comparison, output: Path) -> None:
+    """Raise ValueError, with the method's row, for what a transfer would miss only later. Learned ones need torch."""
+    for each in comparison.methods:
+        row = f"method {each.name!r}"
+        check_transferred_folder(output / each.name)
+        if each.method == CLEAR:
+            continue
+        needs = method_of(each.method).needs
+        if needs is not None and getattr(each, needs) is None:
+            raise ValueError(f"{row}: needs {needs}")
+        for field in _FILES:
+            path: Path | None = getattr(each, field)
+            if path is not None and not path.exists():
+                raise ValueError(f"{row}: {field} {path}: no such file or folder")
+        if each.method == "cyclegan-turbo":
+            try:
+                _check_learned(each)
+            except (ValueError, FileNotFoundError) as error:
+                raise ValueError(f"{row}: {error}") from None
+
+
+def _check_learned(method: ComparedMethod) -> None:
+    """Raise for files that are found missing only when the model is opened."""
+    weights = method.weights or find_weights()
+    if method.normals in WEIGHTS and method.normals_weights is None:
+        raise ValueError(f"normals {method.normals} need normals_weights: {WEIGHTS[method.normals]}")
+    if method.normals == "dsine" and method.normals_checkout is None:
+        raise ValueError("normals dsine need normals_checkout: git clone https://github.com/baegwangbin/DSINE")
+    try:
+        find_base(method.base)
+    except FileNotFoundError:
+        from ..appearance.cyclegan_turbo.weights import open_weights  # torch is an extra
+
+        if open_weights(weights).random_base_seed is None:  # a test's need no SD-Turbo
+            raise
+
+
+def record_of(method: ComparedMethod, source: ComparedSource, comparison: Comparison) -> TransferRecord:
+    """Return how a method's folder is made: the same record, the same pictures."""
+    told: dict[str, Any] = msgspec.to_builtins(method.settings, enc_hook=str)
+    whole = msgspec.to_builtins(comparison, enc_hook=str)
+    told |= {part: whole[part] for part in ("source", "capture", "pictures", "views")} | {"stamp": source.stamp}
+    files: dict[str, Path | None] = {field: getattr(method, field) for field in _FILES}
+    if method.method == "cyclegan-turbo" and method.weights is None:
+        files["weights"] = find_weights()
+    told["files"] = {field: stamp(path) for field, path in files.items() if path is not None}
+    return TransferRecord(method.method, source.name, json.loads(json.dumps(told)), source.to_world)
+
+
+def method_folder(
+    method: ComparedMethod, source: ComparedSource, comparison: Comparison, output: Path
+) -> Iterator[MethodFolder | int]:
+    """Make a method's folder, or find it made: yields numbers of views done, and in the end the folder.
+
+    Raises what the transfer raises, with the method's row before it.
+    """
+    folder, record = output / method.name, record_of(method, source, comparison)
+    if _stands(folder, record):
+        yield MethodFolder(method, folder, _read_seconds(folder), True, read_record(folder).notes)
+        return
+    started = time.perf_counter()
+    try:
+        transfer = _opened(method, source)
+        for done, _ in enumerate(write_transferred(folder, transfer.transferred(source.views), record, source.mask)):
+            yield done + 1
+    except (ValueError, OSError) as error:
+        raise ValueError(f"method {method.name!r}: {error}") from error
+    seconds = round(time.perf_counter() - started, 3)
+    with whole_file(folder / _SECONDS) as beside:
+        beside.write_text(json.dumps({"seconds": seconds}) + "\n", encoding="utf-8")
+    yield MethodFolder(method, folder, seconds, False, read_record(folder).notes)
+
+
+def _opened(method: ComparedMethod, source: ComparedSource) -> Transfer:
+    return Untouched() if method.method == CLEAR else open_transfer(method.method, method.settings, source.surroundings)
+
+
+def _stands(folder: Path, record: TransferRecord) -> bool:
+    if not is_transferred_folder(folder):
+        return False
+    try:
+        there = read_record(folder)
+    except CaptureError:
+        return False
+    return (there.method, there.made_of, dict(there.settings)) == (record.method, record.made_of, dict(record.settings))
+
+
+def _read_seconds(folder: Path) -> float | None:
+    try:
+        return float(json.loads(read_file(folder / _SECONDS))["seconds"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def capture_source(capture: Capture, width_px: int, source_stamp: str) -> ComparedSource:
+    """Take the pictures of a capture; wider ones are made `width_px` wide."""
+    views = capture_views(capture, width_px)
+    return ComparedSource(
+        capture.name, views, PictureSurroundings(), views.to_world, views.mask, capture.has_poses, source_stamp
+    )
+
+
+def held_out_pictures(settings: PictureSettings, width_px: int) -> tuple[ComparedSource, Capture]:
+    """Return the clear and the rainy pictures that a training with these settings never sees.
+
+    They are whole, not framed as for the training: extractors stretch them as the paper's training does. Raises
+    `CaptureError` where a source can't be read, and ValueError where nothing is held out.
+    """
+    split = open_pictures(msgspec.structs.replace(settings, guide="none"))
+    if not split.test.source or not split.test.target:
+        raise ValueError(f"pictures: test_share {settings.test_share:g} leaves no clear or no rainy picture to test")
+    stamps = "-".join(stamp(Path(each.path)) for each in settings.clear)
+    clear = _alone("clear test pictures", split.test.source)
+    return capture_source(clear, width_px, stamps), _narrowed(
+        _alone("rainy test pictures", split.test.target), width_px
+    )
+
+
+def real_pictures(folders: Sequence[Path], width_px: int) -> Capture:
+    """Return the pictures of some folders or captures, of no larger width than the transferred ones.
+
+    Pictures that were made smaller once more than others look different to an extractor. Raises `CaptureError` where
+    one can't be read.
+    """
+    captures = [open_capture(folder) for folder in folders]
+    return _narrowed(replace(captures[0], views=tuple(view for each in captures for view in each)), width_px)
+
+
+def _alone(name: str, pictures: Sequence[Picture]) -> Capture:
+    """Pictures of several sources, which know nothing of each other."""
+    views = tuple(replace(each.view, name=flat_name(each.name), sensor="") for each in pictures)
+    return Capture(name, views, is_metric=False, has_poses=False)
+
+
+def _narrowed(capture: Capture, width_px: int) -> Capture:
+    return replace(capture, views=tuple(prepared(view, min(width_px, view.camera.width)) for view in capture))
+
+
+# § The figure of a comparison: a row each method, a column each view, as papers show their methods.
+
+_CELL_PX, _GAP_PX, _TEXT_PX = 360, 8, 18
+
+_PAPER, _INK, _FAINT, _EMPTY = (255, 255, 255), (20, 20, 22), (110, 112, 118), (236, 236, 238)
+
+_Pixels = UInt8[np.ndarray, "_ _ 3"]
+
+
+def shown_views(folders: Sequence[MethodFolder], names: Sequence[str], columns: int) -> list[str]:
+    """Choose the figure's views: those named, or `columns` evenly out of those of the method that has the most.
+
+    Raises ValueError for a name that there is not.
+    """
+    there = max(([view.clear.name for view in read_transferred(each.folder)] for each in folders), key=len)
+    if not names:
+        return [there[i] for i in evenly(len(there), columns)]
+    for name in names:
+        if name not in there:
+            raise ValueError(f"shown: no view {name!r}, for one {there[0]!r}")
+    return list(names)
+
+
+def comparison_figure(folders: Sequence[MethodFolder], names: Sequence[str]) -> UInt8[np.ndarray, "h w 3"]:
+    """Draw the views of these names as each method made them; a view that a method lacks stays empty."""
+    rows = [(each.method.name, _pictures(each, names)) for each in folders]
+    ratios = [one.shape[0] / one.shape[1] for _, pictures in rows for one in pictures if one is not None]
+    tall = round(_CELL_PX * max(ratios, default=0.5))
+    line, step = _TEXT_PX + _GAP_PX, tall + _TEXT_PX + 3 * _GAP_PX
+    head = line + _GAP_PX
+    size = (len(names) * (_CELL_PX + _GAP_PX) + _GAP_PX, head + len(rows) * step)
+    sheet = Image.new("RGB", size, _PAPER)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(_TEXT_PX)
+    lefts = [_GAP_PX + column * (_CELL_PX + _GAP_PX) for column in range(len(names))]
+    for left, name in zip(lefts, names, strict=True):
+        draw.text((left, _GAP_PX // 2), _fitting(draw, font, name), _FAINT, font)
+    for row, (method, pictures) in enumerate(rows):
+        top = head + row * step
+        draw.text((_GAP_PX, top), method, _INK, font)
+        for left, picture in zip(lefts, pictures, strict=True):
+            box = (left, top + line, left + _CELL_PX, top + line + tall)
+            if picture is None:
+                draw.rectangle(box, _EMPTY)
+                draw.text((left + _GAP_PX, box[1] + _GAP_PX), "no picture", _FAINT, font)
+            else:
+                sheet.paste(Image.fromarray(_sized(picture)), box[:2])
+    return np.asarray(sheet)
+
+
+def _pictures(folder: MethodFolder, names: Sequence[str]) -> list[_Pixels | None]:
+    views = read_transferred(folder.folder)
+    found: dict[str, _Pixels] = {}
+    for view in views:
+        if view.clear.name in names:
+            found[view.clear.name] = np.rint(255 * view.image).astype(np.uint8)
+    return [found.get(name) for name in names]
+
+
+def _sized(picture: _Pixels) -> _Pixels:
+    scale = _CELL_PX / picture.shape[1]
+    size = (_CELL_PX, max(round(picture.shape[0] * scale), 1))
+    return np.asarray(
+        cv2.resize(picture, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC), np.uint8
+    )
+
+
+def _fitting(draw: ImageDraw.ImageDraw, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, name: str) -> str:
+    """Cut the front off a name that is wider than its column: names of a drive differ at their ends."""
+    cut = name
+    while draw.textlength(cut, font) > _CELL_PX and len(cut) > 2:
+        cut = f"…{cut[2:]}"
+    return cut

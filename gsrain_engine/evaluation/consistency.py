@@ -1,0 +1,280 @@
+"""What consistency is measured on: folders of a transfer, or any capture of pictures with cameras and depth."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from math import isnan, nan, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from ..appearance.base import RainyView
+from ..appearance.correspondence import Correspondence, correspondence, warped
+from ..appearance.covisibility import neighbours
+from ..appearance.output_folder import is_transferred_folder, read_transferred
+from ..appearance.scene_views import KeptViews
+
+_KEPT = 6
+
+_USUAL_WIDTH_PX = 960
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ComparedViews:
+    """Views of one folder."""
+
+    folder: Path
+    views: Sequence[RainyView]
+    """Each read when it is asked for."""
+    has_clear: bool
+    """Whether the pictures before their transfer are there."""
+    method: str = ""
+    """How they were made, where that is known."""
+    settings: dict[str, Any] | None = None
+
+    @property
+    def title(self) -> str:
+        """Name for tables and pictures."""
+        return f"{self.folder.name} ({self.method})" if self.method else self.folder.name
+
+    @property
+    def has_poses(self) -> bool:
+        """Whether it is known where any of the views was taken."""
+        return any(self.views[i].clear.has_pose for i in range(len(self.views)))
+
+    def chosen(self, count: int) -> list[tuple[int, int]]:
+        """Pair each view with the `count` others that show most of it."""
+        clear = KeptViews(len(self.views), lambda i: self.views[i].clear)
+        return [(i, j) for i, others in enumerate(neighbours(clear, count)) for j in others]
+
+    def alike(self, other: "ComparedViews", pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+        """Find another folder's pairs in this one by their names; raises ValueError for a view that is not there."""
+        if other is self:
+            return list(pairs)
+        mine = {self.views[i].clear.name: i for i in range(len(self.views))}
+        theirs = {i: other.views[i].clear.name for i in {each for pair in pairs for each in pair}}
+        missing = sorted(name for name in theirs.values() if name not in mine)
+        if missing:
+            raise ValueError(f"{self.folder}: has no view {missing[0]!r}, which {other.folder} has")
+        return [(mine[theirs[i]], mine[theirs[j]]) for i, j in pairs]
+
+
+def open_compared(folder: Path, width_px: int | None = None) -> ComparedViews:
+    """Open what `gsrain transfer` has written, or a capture whose pictures are compared as they are.
+
+    Wider pictures of a capture are made `width_px` wide (default 960). Raises `CaptureError` where neither
+    can be read.
+    """
+    if is_transferred_folder(folder):
+        transferred = read_transferred(folder)
+        kept = _Kept(transferred)
+        return ComparedViews(folder, kept, True, transferred.record.method, dict(transferred.record.settings))
+    from ..appearance.capture_views import capture_views
+    from ..datasets.open_capture import open_capture  # loads every reader
+
+    clear = capture_views(open_capture(folder), width_px or _USUAL_WIDTH_PX)
+    return ComparedViews(folder, _AsTheyAre(clear), False)
+
+
+class _Kept(Sequence[RainyView]):
+    """Holds the last few views that were asked for: a view is in several pairs."""
+
+    def __init__(self, views: Sequence[RainyView]) -> None:
+        self._views = views
+        self._read = lru_cache(maxsize=_KEPT)(views.__getitem__)
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._read(index)
+
+
+class _AsTheyAre(Sequence[RainyView]):
+    """Pictures of a capture in the place of transferred ones."""
+
+    def __init__(self, views: Sequence[Any]) -> None:
+        self._views = views
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+    def __getitem__(self, index: Any) -> Any:
+        clear = self._views[index]
+        return RainyView(clear, clear.image)
+
+
+# § Neighbouring views in pairs: each is warped onto the other, before its transfer and after it, and compared.
+
+FILM_SHARE = 0.05
+"""Share of mirrored light from which on a pixel counts as water film."""
+
+LEAST_PIXELS = 256
+"""Pairs that share less than this say nothing."""
+
+# § How much a view differs from another one that was warped onto it: the error that is compared before and after.
+
+
+@dataclass(frozen=True, slots=True)
+class WarpError:
+    """What is left when one view is laid over the other; display values of 0..1."""
+
+    rmse: float
+    contrast: float
+    """Standard deviation of the picture over the same pixels: a transfer that greys everything lowers both."""
+    lpips: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """Two views over the pixels that are compared."""
+
+    pixels: int
+    after: WarpError
+    before: WarpError | None = None
+
+    @property
+    def ratio(self) -> float:
+        """Error after the transfer over that before; NaN where there is no before, or no error in it."""
+        return _over(self.after.rmse, self.before.rmse) if self.before is not None else nan
+
+    @property
+    def contrast_ratio(self) -> float:
+        """The same of errors in shares of each picture's contrast."""
+        if self.before is None:
+            return nan
+        return _over(_over(self.after.rmse, self.after.contrast), _over(self.before.rmse, self.before.contrast))
+
+    @property
+    def lpips_ratio(self) -> float:
+        """LPIPS after the transfer over that before; NaN where it is not known."""
+        if self.before is None or self.before.lpips is None or self.after.lpips is None:
+            return nan
+        return _over(self.after.lpips, self.before.lpips)
+
+
+@dataclass(frozen=True, slots=True)
+class PairAgreement:
+    """How well a view agrees with a neighbour."""
+
+    of: str
+    to: str
+    """The neighbour, which is warped onto the view."""
+    matched_share: float
+    """Share of the view's pixels that the neighbour shows too."""
+    everywhere: Agreement
+    outside_film: Agreement | None
+    """Where neither mirrors: reflections move with the eye, and rightly differ. None where nobody knows the film."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WarpedPair:
+    """A view and a neighbour warped onto it: what is measured, and what a sheet shows."""
+
+    of: RainyView
+    to: RainyView
+    found: Correspondence
+    before: Float32[np.ndarray, "h w 3"]
+    """The neighbour's clear picture, from here."""
+    after: Float32[np.ndarray, "h w 3"]
+    dry: Bool[np.ndarray, "h w"] | None
+    """Matched pixels outside the water film; None where the film is not known."""
+
+
+def warped_pair(of: RainyView, to: RainyView, film_share: float = FILM_SHARE) -> WarpedPair:
+    """Warp a neighbour onto a view; pixels of which more than `film_share` is mirrored, here or there, are wet."""
+    found = correspondence(of.clear, to.clear)
+    dry: Mask | None = None
+    if of.film is not None and to.film is not None:
+        there = warped(to.film[..., None], found)[..., 0]
+        dry = found.valid & (of.film <= film_share) & (there <= film_share)
+    return WarpedPair(of, to, found, warped(to.clear.image, found), warped(to.image, found), dry)
+
+
+Image = Float32[np.ndarray, "h w 3"]
+
+Mask = Bool[np.ndarray, "h w"]
+
+Perceived = Callable[[Image, Image, Mask], float]
+"""A distance of two pictures of values 0..1 over a mask, such as `Lpips.distance`."""
+
+
+def agreements(
+    views: Sequence[RainyView],
+    pairs: Sequence[tuple[int, int]],
+    *,
+    has_clear: bool = True,
+    film_share: float = FILM_SHARE,
+    perceived: Perceived | None = None,
+) -> Iterator[PairAgreement]:
+    """Compare pairs of views (of, to), one by one; those that share next to nothing are passed by.
+
+    Args:
+        views: May be lazy; a view is asked for once for each pair that it is in.
+        pairs: Indices.
+        has_clear: Whether the clear pictures are known; else there is no before.
+        film_share: From which on a pixel counts as water film.
+        perceived: A second distance, such as LPIPS.
+    """
+    for i, j in pairs:
+        pair = warped_pair(views[i], views[j], film_share)
+        mask = pair.found.valid
+        if np.count_nonzero(mask) >= LEAST_PIXELS:
+            dry = pair.dry
+            is_dry = dry is not None and np.count_nonzero(dry) >= LEAST_PIXELS
+            yield PairAgreement(
+                pair.of.clear.name,
+                pair.to.clear.name,
+                float(mask.mean()),
+                _agreement(pair, mask, has_clear, perceived),
+                _agreement(pair, dry, has_clear, perceived) if dry is not None and is_dry else None,
+            )
+
+
+def _agreement(pair: WarpedPair, mask: Mask, has_clear: bool, perceived: Perceived | None) -> Agreement:
+    after = warp_error(pair.of.image, pair.after, mask, perceived)
+    before = warp_error(pair.of.clear.image, pair.before, mask, perceived) if has_clear else None
+    return Agreement(int(np.count_nonzero(mask)), after, before)
+
+
+def warp_error(view: Image, other: Image, mask: Mask, perceived: Perceived | None = None) -> WarpError:
+    """Compare a view with another one, warped onto it, over the pixels of a mask; raises ValueError for none.
+
+    Root mean squared difference in display values of 0..1, over all channels: 0 (the views agree) to 1, lower is
+    better. The warping error of video work (Lai et al. 2018), as a root and by depth instead of flow.
+    """
+    if not mask.any():
+        raise ValueError("the mask leaves no pixel to compare")
+    shown = view[mask].astype(np.float64)
+    rmse = float(np.sqrt(np.mean((other[mask] - shown) ** 2)))
+    spread = float(np.sqrt(np.mean((shown - shown.mean(axis=0)) ** 2)))
+    return WarpError(rmse, spread, None if perceived is None else perceived(other, view, mask))
+
+
+def pooled(agreements: Iterable[Agreement]) -> Agreement | None:
+    """Mean over pairs, each pixel counting alike: the root of the mean square; LPIPS is averaged. None for no pair."""
+    every = list(agreements)
+    if not every:
+        return None
+    before = [(each.pixels, each.before) for each in every if each.before is not None]
+    return Agreement(
+        sum(each.pixels for each in every),
+        _pooled([(each.pixels, each.after) for each in every]),
+        _pooled(before) if len(before) == len(every) else None,
+    )
+
+
+def _pooled(errors: list[tuple[int, WarpError]]) -> WarpError:
+    total = sum(pixels for pixels, _ in errors)
+    lpips = [(pixels, each.lpips) for pixels, each in errors if each.lpips is not None]
+    return WarpError(
+        sqrt(sum(pixels * each.rmse**2 for pixels, each in errors) / total),
+        sqrt(sum(pixels * each.contrast**2 for pixels, each in errors) / total),
+        sum(pixels * value for pixels, value in lpips) / total if len(lpips) == len(errors) else None,
+    )
+
+
+def _over(value: float, by: float) -> float:
+    return nan if isnan(by) or by <= 0 else value / by

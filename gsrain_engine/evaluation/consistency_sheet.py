@@ -1,0 +1,138 @@
+"""A picture to judge consistency by: a view, its neighbour warped onto it, and where they differ."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import matplotlib
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from .consistency import WarpedPair
+from .report_charts import LARGEST_ERROR
+
+_CELL_PX = 400
+
+_GAP_PX, _TEXT_PX = 8, 17
+
+_PAPER, _INK, _FAINT = (24, 25, 28), (232, 232, 236), (150, 152, 160)
+
+_LEFT_OUT = (52, 54, 60)
+
+_WET = np.array([0.15, 0.42, 0.75], np.float32)
+
+_DIMMED = 0.25
+
+_SHADES = 256
+
+
+class ShownPair(NamedTuple):
+    """A pair as one transfer made it."""
+
+    title: str
+    """Of the folder."""
+    pair: WarpedPair
+    has_clear: bool
+
+
+class _Look(NamedTuple):
+    words: str
+    view: Float32[np.ndarray, "h w 3"]
+    other: Float32[np.ndarray, "h w 3"]
+    valid: Bool[np.ndarray, "h w"]
+    dry: Bool[np.ndarray, "h w"] | None
+
+
+def consistency_sheet(pairs: Sequence[Sequence[ShownPair]]) -> UInt8[np.ndarray, "h w 3"]:
+    """Draw pairs below each other: first the clear pictures, then the same pair as each transfer made it.
+
+    Beside each view stands the neighbour as it is seen from there, dark where it has no match, and the error, from
+    none (black) to a quarter of full scale (white); unmatched pixels are grey, those of the water film blue.
+    """
+    looks = [_looks(shown) for shown in pairs]
+    blocks = [_block(shown[0].pair, own) for shown, own in zip(pairs, looks, strict=True)]
+    width = max(block.width for block in blocks)
+    legend = _legend(width)
+    sheet = Image.new("RGB", (width, sum(block.height for block in blocks) + legend.height), _PAPER)
+    top = 0
+    for block in [*blocks, legend]:
+        sheet.paste(block, (0, top))
+        top += block.height
+    return np.asarray(sheet)
+
+
+def _looks(shown: Sequence[ShownPair]) -> list[_Look]:
+    looks: list[_Look] = []
+    first = shown[0].pair
+    if shown[0].has_clear:
+        looks.append(_Look("before", first.of.clear.image, first.before, first.found.valid, None))
+    for title, pair, _ in shown:
+        looks.append(_Look(title, pair.of.image, pair.after, pair.found.valid, pair.dry))
+    return looks
+
+
+def _block(pair: WarpedPair, looks: Sequence[_Look]) -> Image.Image:
+    """One pair: a line of text, then a row of three pictures for each look, with a line of its own."""
+    height, width = pair.of.image.shape[:2]
+    tall = max(round(_CELL_PX * height / width), 1)
+    line = _TEXT_PX + _GAP_PX
+    block = Image.new(
+        "RGB", (3 * _CELL_PX + 4 * _GAP_PX, line + len(looks) * (tall + line + _GAP_PX) + 2 * _GAP_PX), _PAPER
+    )
+    draw, font = ImageDraw.Draw(block), ImageFont.load_default(_TEXT_PX)
+    names = f"{pair.of.clear.name}, and {pair.to.clear.name} warped onto it: {pair.found.valid.mean():.0%} matched"
+    draw.text((_GAP_PX, _GAP_PX), names, _INK, font)
+    top = _GAP_PX + line
+    for look in looks:
+        draw.text((_GAP_PX, top), f"{look.words}: {_figures(look)}", _FAINT, font)
+        top += _TEXT_PX + _GAP_PX // 2
+        for column, picture in enumerate(_pictures(look)):
+            shown = cv2.resize(picture, (_CELL_PX, tall), interpolation=cv2.INTER_AREA)
+            block.paste(Image.fromarray(shown), (_GAP_PX + column * (_CELL_PX + _GAP_PX), top))
+        top += tall + _GAP_PX + _GAP_PX // 2
+    return block
+
+
+def _figures(look: _Look) -> str:
+    words = f"error {_levels(look, look.valid)} of 255"
+    return words if look.dry is None else f"{words}, outside the water film {_levels(look, look.dry)}"
+
+
+def _levels(look: _Look, mask: Bool[np.ndarray, "h w"]) -> str:
+    if not mask.any():
+        return "-"
+    return f"{255 * float(np.sqrt(np.mean((look.other[mask] - look.view[mask]) ** 2))):.2f}"
+
+
+def _pictures(look: _Look) -> list[UInt8[np.ndarray, "h w 3"]]:
+    other = np.where(look.valid[..., None], look.other, _DIMMED * look.view)
+    error = np.abs(look.other - look.view).mean(axis=2)
+    shades = np.asarray(matplotlib.colormaps["magma"](np.linspace(0, 1, _SHADES)), np.float32)[:, :3]
+    shown = shades[np.rint(np.clip(error / LARGEST_ERROR, 0, 1) * (_SHADES - 1)).astype(int)]
+    if look.dry is not None:
+        shown = np.where((look.valid & ~look.dry)[..., None], 0.45 * shown + 0.55 * _WET, shown)
+    shown = np.where(look.valid[..., None], shown, np.array(_LEFT_OUT, np.float32) / 255)
+    return [np.rint(255 * np.clip(each, 0, 1)).astype(np.uint8) for each in (look.view, other, shown)]
+
+
+def _legend(width: int) -> Image.Image:
+    legend = Image.new("RGB", (width, _TEXT_PX + 3 * _GAP_PX), _PAPER)
+    draw, font = ImageDraw.Draw(legend), ImageFont.load_default(_TEXT_PX)
+    shades = np.asarray(matplotlib.colormaps["magma"](np.linspace(0, 1, 120)))[:, :3]
+    bar = np.repeat(np.rint(255 * shades).astype(np.uint8)[None], _TEXT_PX, axis=0)
+    x = _GAP_PX
+    for swatch, words in (
+        (bar, f"error 0 to {255 * LARGEST_ERROR:.0f} of 255"),
+        (_swatch(np.array(_LEFT_OUT)), "no match"),
+        (_swatch(np.rint(255 * _WET)), "water film, which mirrors and may differ"),
+    ):
+        legend.paste(Image.fromarray(swatch), (int(x), _GAP_PX))
+        x += swatch.shape[1] + _GAP_PX
+        draw.text((x, _GAP_PX), words, _FAINT, font)
+        x += draw.textlength(words, font) + 4 * _GAP_PX
+    return legend
+
+
+def _swatch(color: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
+    return np.tile(color.astype(np.uint8), (_TEXT_PX, _TEXT_PX, 1))

@@ -1,0 +1,412 @@
+"""What the numbers that a detector gives mean: boxes in pixels of its input, with confidences and classes."""
+
+import ast
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64, Int, Int64
+
+from ...plugins import DECODERS, Extension, extension
+from ...safe_io.limits import check_file, open_file
+from ...safe_io.text_files import printable
+from .description import DetectorDescription
+
+_TOLERANCE = 1e-3
+"""Rounding may take a confidence this far out of 0..1."""
+
+Output = Float32[np.ndarray, "..."]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidates:
+    """Boxes that a detector believes in at all, in pixels of its input."""
+
+    boxes: Float32[np.ndarray, "n 4"]
+    """Rows x1 y1 x2 y2."""
+    confidences: Float32[np.ndarray, " n"]
+    classes: Int64[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What a decoder goes by: the description, how many classes there are, and the input's size in pixels."""
+
+    description: DetectorDescription
+    classes: int
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, slots=True)
+class Decoder:
+    """How the numbers of one kind of detector are read."""
+
+    decode: Callable[[Sequence[Output], Layout], Candidates]
+    """Takes what the network gave for one picture; raises ValueError where it can't be of this layout."""
+    is_final: bool = False
+    """Whether the network itself leaves one box an object: then nothing is suppressed."""
+
+
+def decoder(name: str) -> Decoder:
+    """Find a decoder, ours or an installed package's. Raises ValueError where there is none or it can't be used."""
+    if name in _DECODERS:
+        return _DECODERS[name]
+    if (installed := extension(DECODERS, name)) is not None:
+        return _installed(installed)
+    raise ValueError(f"no decoder {name!r}")
+
+
+def decoded(outputs: Sequence[Output], layout: Layout) -> Candidates:
+    """Decode what a detector gave for one picture. Raises ValueError where it can't be of this layout."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = decoder(layout.description.decode).decode(outputs, layout)
+    if not np.isfinite(found.boxes).all():
+        raise ValueError(f"boxes decoded as {layout.description.decode} are not finite")
+    return found
+
+
+def grid(layout: Layout) -> Float32[np.ndarray, "a 3"]:
+    """Column, row (in cells) and stride (in pixels) of every cell: finest stride first, row by row."""
+    parts: list[Float32[np.ndarray, "_ 3"]] = []
+    for stride in layout.description.strides:
+        rows, columns = -(-layout.height // stride), -(-layout.width // stride)
+        y, x = np.mgrid[:rows, :columns].astype(np.float32)
+        parts.append(np.stack([x.ravel(), y.ravel(), np.full(x.size, stride, np.float32)], axis=1))
+    return np.concatenate(parts)
+
+
+def _end_to_end(outputs: Sequence[Output], layout: Layout) -> Candidates:
+    """Rows x1 y1 x2 y2 confidence class, nothing left to suppress (YOLOv10, Wang et al. 2024)."""
+    rows = _only_table(outputs, layout, 6)
+    confidences, classes = rows[:, 4], np.rint(rows[:, 5]).astype(np.int64)
+    _check_confidences(confidences, layout)
+    chosen = confidences >= layout.description.least_confidence
+    named = classes[chosen]
+    if len(named) and (named.min() < 0 or named.max() >= layout.classes):
+        raise ValueError(f"it names class {named.max()}, its classes are 0..{layout.classes - 1}")
+    return Candidates(rows[chosen, :4], confidences[chosen], named)
+
+
+def _yolo(outputs: Sequence[Output], layout: Layout) -> Candidates:
+    """Centre, size, a score a class (YOLOv8 and YOLO11 of ultralytics)."""
+    rows = _only_table(outputs, layout, 4 + layout.classes)
+    return _best_classes(_corners(rows[:, :2], rows[:, 2:4]), rows[:, 4:], layout)
+
+
+def _yolo_objectness(outputs: Sequence[Output], layout: Layout) -> Candidates:
+    """Centre, size, objectness, a score a class (YOLOv5, YOLOv6): confidence is objectness times score."""
+    rows = _only_table(outputs, layout, 5 + layout.classes)
+    return _best_classes(_corners(rows[:, :2], rows[:, 2:4]), rows[:, 4:5] * rows[:, 5:], layout)
+
+
+def _yolox(outputs: Sequence[Output], layout: Layout) -> Candidates:
+    """As with objectness, but centres in cells from their cell and logarithms of sizes in cells (Ge et al. 2021)."""
+    rows = _only_table(outputs, layout, 5 + layout.classes)
+    cells = grid(layout)
+    _check_cells(len(rows), cells, layout)
+    stride = cells[:, 2:]
+    boxes = _corners((rows[:, :2] + cells[:, :2]) * stride, np.exp(rows[:, 2:4]) * stride)
+    return _best_classes(boxes, rows[:, 4:5] * rows[:, 5:], layout)
+
+
+def _nanodet(outputs: Sequence[Output], layout: Layout) -> Candidates:
+    """Scores, then for each side of the box a distribution over whole distances in cells (Li et al. 2020, GFL).
+
+    The distance is the distribution's mean. One table holds both, or each stride has a table of scores and one of
+    distributions.
+    """
+    scores, bins = _scores_and_bins(outputs, layout)
+    cells = grid(layout)
+    _check_cells(len(scores), cells, layout)
+    shares = np.exp(bins - bins.max(axis=-1, keepdims=True))
+    shares /= shares.sum(axis=-1, keepdims=True)
+    distances = (shares @ np.arange(bins.shape[-1], dtype=np.float32)) * cells[:, 2:]
+    points = (cells[:, :2] + np.float32(layout.description.cell_center)) * cells[:, 2:]
+    boxes = np.concatenate([points - distances[:, :2], points + distances[:, 2:]], axis=1)
+    return _best_classes(boxes, scores, layout)
+
+
+def _scores_and_bins(
+    outputs: Sequence[Output], layout: Layout
+) -> tuple[Float32[np.ndarray, "a c"], Float32[np.ndarray, "a 4 b"]]:
+    tables = [_table(output, layout) for output in outputs]
+    if len(tables) == 1:
+        width = tables[0].shape[1] - layout.classes
+        scores, bins = tables[0][:, : layout.classes], tables[0][:, layout.classes :]
+    else:
+        scores = _by_stride([table for table in tables if table.shape[1] == layout.classes])
+        bins = _by_stride([table for table in tables if table.shape[1] != layout.classes])
+        width = bins.shape[1]
+    if width < 8 or width % 4 or len(scores) != len(bins):
+        shapes = ", ".join(str(output.shape) for output in outputs)
+        raise ValueError(
+            f"its output {shapes} is not nanodet's (cells, {layout.classes} classes + 4 sides of at least 2 distances)"
+        )
+    return scores, bins.reshape(len(bins), 4, width // 4)
+
+
+def _by_stride(tables: list[Float32[np.ndarray, "_ k"]]) -> Float32[np.ndarray, "a k"]:
+    """One table of several, that with the most cells (the finest stride) first."""
+    if not tables or len({table.shape[1] for table in tables}) > 1:
+        return np.zeros((0, 0), np.float32)
+    return np.concatenate(sorted(tables, key=len, reverse=True))
+
+
+def _best_classes(boxes: Float32[np.ndarray, "a 4"], scores: Float32[np.ndarray, "a c"], layout: Layout) -> Candidates:
+    """Each box with the class that it most likely holds."""
+    classes = scores.argmax(axis=1).astype(np.int64)
+    confidences = np.take_along_axis(scores, classes[:, None], axis=1)[:, 0]
+    _check_confidences(confidences, layout)
+    chosen = confidences >= layout.description.least_confidence
+    return Candidates(boxes[chosen], confidences[chosen], classes[chosen])
+
+
+def _only_table(outputs: Sequence[Output], layout: Layout, columns: int) -> Float32[np.ndarray, "a k"]:
+    """The one output as rows of `columns` numbers, whichever way round it lies."""
+    if len(outputs) != 1:
+        raise ValueError(f"it gives {len(outputs)} outputs; decoded as {layout.description.decode} it must give one")
+    table = _table(outputs[0], layout)
+    if table.shape[1] != columns and table.shape[0] == columns:
+        table = table.T
+    if table.shape[1] != columns:
+        raise ValueError(
+            f"its output is {outputs[0].shape}; decoded as {layout.description.decode} with {layout.classes} classes "
+            f"it must have rows of {columns} numbers"
+        )
+    return table
+
+
+def _table(output: Output, layout: Layout) -> Float32[np.ndarray, "a k"]:
+    """An output of one picture as a table; the axis of pictures may be left out."""
+    if output.ndim == 2:
+        return output
+    if output.ndim == 4 and 1 in output.shape[1:]:
+        output = output.reshape(1, *[each for each in output.shape[1:] if each != 1])
+    if output.ndim != 3 or output.shape[0] != 1:
+        raise ValueError(
+            f"its output is {output.shape}; decoded as {layout.description.decode} it must be (1, rows, columns)"
+        )
+    return output[0]
+
+
+def _check_cells(rows: int, cells: Float32[np.ndarray, "a 3"], layout: Layout) -> None:
+    if rows != len(cells):
+        strides = ", ".join(map(str, layout.description.strides))
+        raise ValueError(
+            f"it gives {rows} rows; an input of {layout.width}x{layout.height} px has {len(cells)} cells of "
+            f"strides {strides}"
+        )
+
+
+def _check_confidences(confidences: Float32[np.ndarray, " a"], layout: Layout) -> None:
+    if len(confidences) and (confidences.min() < -_TOLERANCE or confidences.max() > 1 + _TOLERANCE):
+        raise ValueError(
+            f"decoded as {layout.description.decode} its confidences are {confidences.min():.3g}.."
+            f"{confidences.max():.3g}, not 0..1: it is to be decoded otherwise"
+        )
+
+
+def _corners(centers: Float32[np.ndarray, "a 2"], sizes: Float32[np.ndarray, "a 2"]) -> Float32[np.ndarray, "a 4"]:
+    return np.concatenate([centers - sizes / 2, centers + sizes / 2], axis=1)
+
+
+def _installed(extension: Extension) -> Decoder:
+    """Return the decoder of another package, which fails in one sentence."""
+    row = extension.load(Decoder)
+
+    def decode(outputs: Sequence[Output], layout: Layout) -> Candidates:
+        try:
+            found = extension.expect(row.decode(outputs, layout), Candidates, "gives")
+        except ValueError:
+            raise
+        except Exception as error:  # whatever others raise
+            raise extension.unfit(error) from error
+        n = len(found.boxes)
+        if found.boxes.shape != (n, 4) or found.confidences.shape != (n,) or found.classes.shape != (n,):
+            raise extension.unfit(f"gives {n} boxes with confidences or classes that are not one each")
+        if n and not 0 <= found.classes.min() <= found.classes.max() < layout.classes:
+            raise extension.unfit(f"names a class that is not within 0..{layout.classes - 1}")
+        _check_confidences(found.confidences, layout)
+        boxes, confidences = found.boxes.astype(np.float32), found.confidences.astype(np.float32)
+        return Candidates(boxes, confidences, found.classes.astype(np.int64))
+
+    return Decoder(decode, row.is_final)
+
+
+_DECODERS: dict[str, Decoder] = {
+    "end_to_end": Decoder(_end_to_end, is_final=True),
+    "yolo": Decoder(_yolo),
+    "yolo_objectness": Decoder(_yolo_objectness),
+    "yolox": Decoder(_yolox),
+    "nanodet": Decoder(_nanodet),
+}
+
+# § Overlap of boxes, and keeping one box where several lie over each other.
+
+Boxes = Float[np.ndarray, "_ 4"]
+"""Rows x1 y1 x2 y2."""
+
+
+def intersection_over_union(
+    first: Float[np.ndarray, "n 4"], second: Float[np.ndarray, "m 4"]
+) -> Float64[np.ndarray, "n m"]:
+    """Area that two boxes share over the area that they cover together: 0..1, 1 for equal boxes (Jaccard index).
+
+    0 where both are empty.
+    """
+    a, b = first.astype(np.float64)[:, None], second.astype(np.float64)[None]
+    sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
+    shared = np.prod(np.maximum(sides, 0.0), axis=-1)
+    union = _area(a) + _area(b) - shared
+    return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
+
+
+def kept_boxes(
+    boxes: Float[np.ndarray, "n 4"],
+    confidences: Float[np.ndarray, " n"],
+    classes: Int[np.ndarray, " n"],
+    most_iou: float,
+) -> Int[np.ndarray, " k"]:
+    """Rows that stay, the most confident first: greedy non-maximum suppression, each class by itself.
+
+    A box goes where a more confident one of its class overlaps it by more than `most_iou`. Of equally confident ones
+    the earlier stays.
+    """
+    order = np.argsort(-confidences, kind="stable")
+    kept: list[int] = []
+    while len(order):
+        best, order = order[0], order[1:]
+        kept.append(int(best))
+        overlap = intersection_over_union(boxes[best][None], boxes[order])[0]
+        order = order[(overlap <= most_iou) | (classes[order] != classes[best])]
+    return np.array(kept, np.int64)
+
+
+def _area(boxes: Float64[np.ndarray, "*n 4"]) -> Float64[np.ndarray, "*n"]:
+    return np.prod(np.maximum(boxes[..., 2:] - boxes[..., :2], 0.0), axis=-1)
+
+
+# § An ONNX file that takes one picture: opened, described, run; the same numbers for the same picture.
+
+THREADS = 2
+"""Fixed, so that sums are taken in the same order on every run; what is more goes to pictures side by side."""
+
+MOST_SIDE_PX = 8192
+"""Of the picture that a network takes."""
+
+_POINTER = b"version https://git-lfs"
+"""How a file begins that Git has not fetched."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OnnxModel:
+    """A network with one input (1, 3, height, width) of floats."""
+
+    path: Path
+    input_name: str
+    width: int | None
+    """In pixels; None where the file leaves it open."""
+    height: int | None
+    output_shapes: tuple[tuple[int | None, ...], ...]
+    """None where the file leaves an axis open."""
+    metadata: Mapping[str, str]
+    _session: Any = field(repr=False)
+    _kind: type[np.floating[Any]] = np.float32
+
+    @property
+    def class_names(self) -> tuple[str, ...] | None:
+        """Classes as exports of ultralytics name them in the metadata; None where there are none."""
+        try:
+            names = ast.literal_eval(self.metadata.get("names", ""))
+        except (ValueError, SyntaxError, RecursionError, MemoryError):
+            return None
+        if isinstance(names, dict) and set(names) == set(range(len(names))):
+            names = [names[number] for number in range(len(names))]
+        return tuple(map(str, names)) if isinstance(names, list) and names else None
+
+    def run(self, picture: Float32[np.ndarray, "1 3 h w"]) -> tuple[Float32[np.ndarray, "..."], ...]:
+        """What the network gives. Raises ValueError where it fails, or gives what is no finite number."""
+        try:
+            outputs = self._session.run(None, {self.input_name: picture.astype(self._kind, copy=False)})
+        except Exception as error:  # onnxruntime's errors share no base but this
+            raise ValueError(f"{self.path}: fails on a picture: {_first_line(error)}") from None
+        for output in outputs:
+            if not isinstance(output, np.ndarray) or output.dtype.kind not in "fiu":
+                raise ValueError(f"{self.path}: gives something other than tables of numbers")
+            if not np.isfinite(output).all():
+                raise ValueError(
+                    f"{self.path}: gives NaN or infinity; the file is damaged, or its input is described wrong"
+                )
+        return tuple(output.astype(np.float32, copy=False) for output in outputs)
+
+
+def open_onnx(path: Path) -> OnnxModel:
+    """Open a file for the processor. Raises ValueError with one sentence where it is no network of one picture.
+
+    Raises ModuleNotFoundError with what to install where onnxruntime is missing.
+    """
+    try:
+        import onnxruntime
+    except ModuleNotFoundError:
+        raise ModuleNotFoundError("detectors need onnxruntime: pip install 'gsrain[evaluate]'") from None
+    if not path.exists():
+        raise ValueError(f"{path}: no such file")
+    check_file(path)
+    if path.suffix in (".pt", ".pth"):
+        raise ValueError(f"{path}: weights of PyTorch; export them first (yolo export model={path.name} format=onnx)")
+    try:
+        session = onnxruntime.InferenceSession(
+            str(path), _options(onnxruntime), providers=["CPUExecutionProvider"], enable_fallback=0
+        )  # with a fallback it prints what goes wrong, and tries the same again
+        # Words are only read when they are asked for: all of them here, where those that are no words are damage.
+        inputs = [(str(each.name), str(each.type), each.shape) for each in session.get_inputs()]
+        outputs = [_shape(each.shape) for each in session.get_outputs()]
+        metadata = dict(session.get_modelmeta().custom_metadata_map)
+    except Exception as error:  # onnxruntime's errors share no base but this
+        raise ValueError(f"{path}: not an ONNX file that onnxruntime opens: {_cause(path, error)}") from None
+    kinds = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
+    name, kind, axes = inputs[0] if len(inputs) == 1 else ("", "", ())
+    shape = _shape(axes)
+    if kind not in kinds or len(shape) != 4 or shape[0] not in (1, None) or shape[1] != 3:
+        given = printable(", ".join(" ".join(map(str, each)) for each in inputs)) or "nothing"
+        raise ValueError(f"{path}: takes {given}; a detector takes one picture of floats (1, 3, height, width)")
+    if max(shape[2] or 0, shape[3] or 0) > MOST_SIDE_PX:
+        raise ValueError(f"{path}: takes a picture of {shape[3]} x {shape[2]} px; at most {MOST_SIDE_PX} px a side")
+    return OnnxModel(
+        path=path,
+        input_name=name,
+        width=shape[3],
+        height=shape[2],
+        output_shapes=tuple(outputs),
+        metadata=metadata,
+        _session=session,
+        _kind=kinds[kind],
+    )
+
+
+def _options(onnxruntime: Any) -> Any:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = THREADS
+    options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.use_deterministic_compute = True
+    options.log_severity_level = 4  # what goes wrong is raised and said once, not written to the terminal as well
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    return options
+
+
+def _shape(axes: Any) -> tuple[int | None, ...]:
+    return tuple(axis if isinstance(axis, int) and axis > 0 else None for axis in axes or ())
+
+
+def _cause(path: Path, error: Exception) -> str:
+    with open_file(path) as file:
+        pointer = file.read(len(_POINTER)) == _POINTER
+    return "it only points to one (git lfs pull fetches it)" if pointer else _first_line(error)
+
+
+def _first_line(error: Exception) -> str:
+    return printable((str(error).strip().splitlines() or [type(error).__name__])[0][:300])

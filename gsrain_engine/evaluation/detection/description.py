@@ -1,0 +1,126 @@
+"""What has to be known of a detector besides its ONNX file: one value, which is also a YAML file."""
+
+from pathlib import Path
+from typing import Annotated, Literal, get_args
+
+import msgspec
+from msgspec import Meta
+
+from ...plugins import DECODERS, extensions
+from ...presets import load_config, shipped_names
+from ...scene.objects import COCO_CLASSES
+
+_FOLDER = "detectors"
+
+Decode = Literal["end_to_end", "yolo", "yolo_objectness", "yolox", "nanodet"]
+
+Fit = Literal["letterbox", "letterbox_corner", "stretch"]
+
+Size = Annotated[int, Meta(ge=32, le=8192)]
+
+Fraction = Annotated[float, Meta(ge=0, le=1)]
+
+Deviation = Annotated[float, Meta(gt=0)]
+
+Stride = Annotated[int, Meta(ge=1, le=512)]
+
+ClassName = Annotated[str, Meta(min_length=1)]
+
+
+class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How a picture goes into a detector, and what its numbers mean."""
+
+    decode: Annotated[
+        str,
+        Meta(
+            title="Decoding",
+            description="end_to_end: rows x1 y1 x2 y2 confidence class (YOLOv10, YOLO26). yolo: centre, size and a "
+            "score a class (YOLOv8, YOLO11). yolo_objectness: those with an objectness before the classes (YOLOv5, "
+            "YOLOv6, YOLOX exported with --decode_in_inference). yolox: the same relative to grid cells. nanodet: "
+            "class scores and distributions of distances to the four sides. Or a decoder of an installed package.",
+        ),
+    ]
+    classes: Annotated[
+        tuple[ClassName, ...] | Literal["coco"] | None,
+        Meta(title="Classes", description="Names in the detector's order; left out: those the ONNX file holds."),
+    ] = None
+    input_size_px: Annotated[
+        tuple[Size, Size] | None,
+        Meta(title="Input", description="Width and height; left out: those the ONNX file fixes.", extra={"unit": "px"}),
+    ] = None
+    channels: Annotated[Literal["rgb", "bgr"], Meta(title="Order of the channels")] = "rgb"
+    scale: Annotated[
+        float, Meta(gt=0, le=1, title="Scale", description="What values of 0..255 are multiplied by first.")
+    ] = 1 / 255
+    mean: Annotated[
+        tuple[float, float, float],
+        Meta(title="Mean", description="Subtracted from scaled values, in the order of `channels`."),
+    ] = (0.0, 0.0, 0.0)
+    deviation: Annotated[
+        tuple[Deviation, Deviation, Deviation],
+        Meta(title="Standard deviation", description="What remains is divided by it, in the order of `channels`."),
+    ] = (1.0, 1.0, 1.0)
+    fit: Annotated[
+        Fit,
+        Meta(
+            title="Fit",
+            description="letterbox: shape kept, bars around. letterbox_corner: shape kept, bars right and below. "
+            "stretch: shape not kept.",
+        ),
+    ] = "letterbox"
+    padding: Annotated[int, Meta(ge=0, le=255, title="Grey of the bars")] = 114
+    strides: Annotated[
+        tuple[Stride, ...],
+        Meta(
+            min_length=1,
+            title="Strides",
+            description="Input pixels a grid cell (yolox, nanodet).",
+            extra={"unit": "px"},
+        ),
+    ] = (8, 16, 32)
+    cell_center: Annotated[
+        Fraction, Meta(title="Point of a cell", description="Where in its cell distances start (nanodet), in cells.")
+    ] = 0.5
+    least_confidence: Annotated[
+        Fraction, Meta(title="Least confidence", description="What a detector believes less is not reported.")
+    ] = 0.01
+    suppression_iou: Annotated[
+        Fraction,
+        Meta(
+            title="Suppression",
+            description="Of two boxes of a class that overlap more, the less confident goes. Not for end_to_end.",
+        ),
+    ] = 0.65
+    most_detections: Annotated[int, Meta(ge=1, le=10_000, title="Most detections a picture")] = 300
+
+    def __post_init__(self) -> None:
+        if self.decode not in decode_names():
+            raise ValueError(f"{self.decode!r} is none of {', '.join(decode_names())} - at `$.decode`")
+
+
+def decode_names() -> tuple[str, ...]:
+    """What `decode` may be: ours, then the decoders of installed packages."""
+    ours: tuple[str, ...] = get_args(Decode)
+    return (*ours, *(each.name for each in extensions(DECODERS) if each.name not in ours))
+
+
+def description_names() -> list[str]:
+    return shipped_names(_FOLDER)
+
+
+def load_description(name: str | Path) -> DetectorDescription:
+    """Load a shipped description by name, or a file by path.
+
+    Raises ValueError with the file, the field and what is allowed.
+    """
+    return load_config(_FOLDER, name, DetectorDescription, "detector description")
+
+
+def named_classes(description: DetectorDescription, in_file: tuple[str, ...] | None) -> tuple[str, ...]:
+    """Classes of the description, else those that the ONNX file names. Raises ValueError where neither does."""
+    if description.classes == "coco":
+        return COCO_CLASSES
+    classes = description.classes or in_file
+    if not classes:
+        raise ValueError("it names no classes; its description must (classes: coco, or a list)")
+    return classes

@@ -1,0 +1,258 @@
+"""A detector: an ONNX file with its description, which finds objects in a picture."""
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+import platformdirs
+from jaxtyping import Float32, Float64, UInt8
+
+from ...scene.objects import COCO_CLASSES
+from .decoders import Candidates, Layout, OnnxModel, decoded, decoder, grid, kept_boxes, open_onnx
+from .description import DetectorDescription, Fit, description_names, load_description, named_classes
+
+
+@dataclass(frozen=True, slots=True)
+class Detection:
+    """An object that a detector believes in."""
+
+    class_name: str
+    confidence: float
+    """0..1."""
+    box_xyxy: tuple[float, float, float, float]
+    """Left, top, right, bottom in pixels of the picture, whose upper left corner is (0, 0)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detector:
+    """Finds objects in pictures. The same picture gives the same detections, to the bit."""
+
+    name: str
+    """Of its file, without the ending."""
+    description: DetectorDescription
+    classes: tuple[str, ...]
+    input_size_px: tuple[int, int]
+    """Width and height."""
+    _model: OnnxModel = field(repr=False)
+
+    def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
+        """Find objects in a picture (RGB), the most confident first.
+
+        Raises ValueError, with the file's name, where what the network gives can't be detections.
+        """
+        height, width = image.shape[:2]
+        placement = placed((width, height), self.input_size_px, self.description.fit)
+        outputs = self._model.run(network_input(image, placement, self.input_size_px, self.description))
+        try:
+            found = decoded(outputs, Layout(self.description, len(self.classes), *self.input_size_px))
+        except ValueError as error:
+            raise ValueError(f"{self._model.path}: {error}") from None
+        boxes = placement.in_picture(found.boxes)
+        visible = (boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])
+        return [
+            Detection(self.classes[found.classes[i]], float(found.confidences[i]), _corners(boxes[i]))
+            for i in self._chosen(found)
+            if visible[i]
+        ]
+
+    def _chosen(self, found: Candidates) -> np.ndarray:
+        """Rows to report, the most confident first."""
+        if decoder(self.description.decode).is_final:
+            rows = np.argsort(-found.confidences, kind="stable")
+        else:
+            rows = kept_boxes(found.boxes, found.confidences, found.classes, self.description.suppression_iou)
+        return rows[: self.description.most_detections]
+
+
+def open_detector(path: Path, description: str | Path | None = None) -> Detector:
+    """Open a detector of an ONNX file.
+
+    How it is used says `description` (a shipped name or a YAML file), else a YAML file of its name beside it, else what
+    the ONNX file gives away. Raises ValueError, with the file's name, for files that are no detector or of unknown
+    kind, and for a description that does not fit; ModuleNotFoundError where onnxruntime is missing.
+    """
+    model = open_onnx(path)
+    beside = path.with_suffix(".yaml")
+    if description is None and beside.is_file():
+        description = beside
+    described = recognized(model) if description is None else load_description(description)
+    try:
+        classes = named_classes(described, model.class_names)
+        size = _input_size(model, described)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    return Detector(path.stem, described, classes, size, model)
+
+
+def _input_size(model: OnnxModel, description: DetectorDescription) -> tuple[int, int]:
+    """Width and height in pixels that the file fixes, or that the description asks for."""
+    asked = description.input_size_px or (None, None)
+    for axis, fixed, wanted in zip(("wide", "high"), (model.width, model.height), asked, strict=True):
+        if fixed and wanted and fixed != wanted:
+            raise ValueError(f"its input is {fixed} px {axis}, the description says {wanted} (input_size_px)")
+    width, height = model.width or asked[0], model.height or asked[1]
+    if width is None or height is None:
+        raise ValueError("it takes pictures of any size; its description must choose one (input_size_px: [640, 640])")
+    return width, height
+
+
+def _corners(box: np.ndarray) -> tuple[float, float, float, float]:
+    left, top, right, bottom = map(float, box)
+    return left, top, right, bottom
+
+
+# § Telling from an ONNX file alone what kind of detector it is, where only one kind is possible.
+
+_MOST_END_TO_END = 1000
+"""Detectors that suppress by themselves give some hundred rows; grids give thousands."""
+
+_COCO = len(COCO_CLASSES)
+
+_BINS = (8, 11)
+"""Distances that NanoDet's published files tell apart."""
+
+_GRIDS: tuple[tuple[str, tuple[int, ...]], ...] = (
+    ("yolox", (5 + _COCO,)),
+    *((name, (_COCO + 4 * bins,)) for name in ("nanodet", "nanodet_plus") for bins in _BINS),
+    *((name, (_COCO, 4 * bins)) for name in ("nanodet", "nanodet_plus") for bins in _BINS),
+)
+"""Kinds by the columns of their tables; NanoDet's scores and distances are in one table or apart."""
+
+
+def recognized(model: OnnxModel) -> DetectorDescription:
+    """How to use a detector, from its outputs and what exports of ultralytics say of themselves.
+
+    Raises ValueError, with the descriptions to choose from, where several kinds look the same.
+    """
+    task = model.metadata.get("task", "detect")
+    if task != "detect":
+        raise ValueError(f"{model.path}: is made for {task!r}, not for finding boxes (task 'detect')")
+    name = _by_metadata(model) or _by_grid(model)
+    if name is None:
+        shapes = ", ".join(str(shape) for shape in model.output_shapes)
+        raise ValueError(
+            f"{model.path}: outputs {shapes} do not tell what kind of detector it is; give a description, one of "
+            f"{', '.join(description_names())} or a YAML file"
+        )
+    return load_description(name)
+
+
+def _by_metadata(model: OnnxModel) -> str | None:
+    """Exports of ultralytics: class names tell how many columns a row of each kind has."""
+    classes = model.class_names
+    if classes is None or len(model.output_shapes) != 1 or len(model.output_shapes[0]) != 3:
+        return None
+    _, first, second = model.output_shapes[0]
+    if second == 6 and (model.metadata.get("end2end") == "True" or (first is not None and first <= _MOST_END_TO_END)):
+        return "yolo_end_to_end"
+    if first == 4 + len(classes):
+        return "yolo11"
+    return "yolov5" if second == 5 + len(classes) else None
+
+
+def _by_grid(model: OnnxModel) -> str | None:
+    """Files that say nothing: one row a grid cell, as many columns as COCO's classes ask for."""
+    tables = [shape[-2:] for shape in model.output_shapes if len(shape) in (2, 3)]
+    if model.width is None or model.height is None or len(tables) != len(model.output_shapes):
+        return None
+    for name, widths in _GRIDS:
+        cells = len(grid(Layout(load_description(name), _COCO, model.width, model.height)))
+        rows = [sum(row or 0 for row, columns in tables if columns == width) for width in widths]
+        others = {columns for _, columns in tables} - set(widths)
+        if rows == [cells] * len(widths) and not others and not (name == "yolox" and _gives_pixels(model)):
+            return name
+    return None
+
+
+def _gives_pixels(model: OnnxModel) -> bool:
+    """Whether centres are pixels already (YOLOv6, YOLOX with --decode_in_inference): then they reach over the input."""
+    grey = np.full((1, 3, model.height or 0, model.width or 0), 114, np.float32)
+    centers = model.run(grey)[0][0, :, :2]
+    return bool(np.abs(centers).max() > min(model.width or 0, model.height or 0) / 2)
+
+
+# § Fitting a picture into the input of a detector, and boxes back into the picture.
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where in the input a picture lies: its own sizes and those it got, the corner it starts at; all in pixels."""
+
+    picture_width: int
+    picture_height: int
+    width: int
+    height: int
+    left: int
+    top: int
+
+    def in_picture(self, boxes: Float32[np.ndarray, "n 4"]) -> Float64[np.ndarray, "n 4"]:
+        """Boxes x1 y1 x2 y2 of the input in pixels of the picture, cut off at its edges."""
+        scale = np.array([self.picture_width / self.width, self.picture_height / self.height] * 2)
+        corner = np.array([self.left, self.top] * 2)
+        limits = np.array([self.picture_width, self.picture_height] * 2)
+        return np.clip((boxes - corner) * scale, 0.0, limits)
+
+
+def placed(picture: tuple[int, int], size: tuple[int, int], fit: Fit) -> Placement:
+    """Place a picture of (width, height) in an input of (width, height).
+
+    Bars around the picture differ by at most a pixel, the larger one right and below.
+    """
+    (picture_width, picture_height), (width, height) = picture, size
+    if fit == "stretch":
+        return Placement(picture_width, picture_height, width, height, 0, 0)
+    scale = min(width / picture_width, height / picture_height)
+    inner_width = min(width, max(1, round(picture_width * scale)))
+    inner_height = min(height, max(1, round(picture_height * scale)))
+    left, top = (width - inner_width) // 2, (height - inner_height) // 2
+    if fit == "letterbox_corner":
+        left = top = 0
+    return Placement(picture_width, picture_height, inner_width, inner_height, left, top)
+
+
+def network_input(
+    image: UInt8[np.ndarray, "h w 3"], placement: Placement, size: tuple[int, int], description: DetectorDescription
+) -> Float32[np.ndarray, "1 3 hi wi"]:
+    """The picture (RGB) as a detector of input `size` (width, height) takes it.
+
+    Enlarged and reduced bilinearly and without smoothing, as the detectors' own programs do.
+    """
+    canvas = np.full((size[1], size[0], 3), description.padding, np.uint8)
+    inner = cv2.resize(image, (placement.width, placement.height), interpolation=cv2.INTER_LINEAR)
+    rows = slice(placement.top, placement.top + placement.height)
+    canvas[rows, placement.left : placement.left + placement.width] = inner
+    ordered = canvas if description.channels == "rgb" else canvas[..., ::-1]
+    values = ordered.astype(np.float32) * np.float32(description.scale)
+    values = (values - np.array(description.mean, np.float32)) / np.array(description.deviation, np.float32)
+    return np.ascontiguousarray(values.transpose(2, 0, 1)[None])
+
+
+# § Where a detector is looked for on a person's machine, and how to get one.
+
+PLACE = "GSRAIN_DETECTOR"
+"""Environment variable with the ONNX file of a detector, or a folder with one."""
+
+_URL = "https://github.com/Megvii-BaseDetection/YOLOX/releases/download/0.1.1rc0/yolox_nano.onnx"
+
+
+def detector_place() -> Path:
+    """Return the file or folder of GSRAIN_DETECTOR, else the folder for detectors among the person's data."""
+    own = os.environ.get(PLACE)
+    return Path(own) if own else platformdirs.user_data_path("gsrain", appauthor=False) / "detectors"
+
+
+def find_detector() -> Path:
+    """Return the ONNX file of the detector on this machine, the first by name where there are several.
+
+    Raises FileNotFoundError, with where it was looked for and how to get one.
+    """
+    place = detector_place()
+    files = [place] if place.is_file() else sorted(place.glob("*.onnx"))
+    if files:
+        return files[0]
+    raise FileNotFoundError(
+        f"no detector (.onnx) at {place}: put one there, for example {_URL} (3.7 MB, Apache-2.0), "
+        f"or name its file by --detector or {PLACE}"
+    )

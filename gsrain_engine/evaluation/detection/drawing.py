@@ -1,0 +1,136 @@
+"""Labelled objects and detections drawn over a picture, for figures and videos."""
+
+from collections.abc import Sequence
+from zlib import crc32
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from .detector import Detection
+from .metrics import Boxed, matched
+
+Color = tuple[int, int, int]
+
+Plate = tuple[int, int, int, int]
+"""Left, top, right, bottom of what a tag is written on; in pixels."""
+
+_COLORS: dict[str, Color] = {
+    "car": (86, 180, 233),
+    "truck": (230, 159, 0),
+    "bus": (240, 228, 66),
+    "person": (0, 200, 140),
+    "bicycle": (204, 121, 167),
+    "motorcycle": (213, 94, 0),
+    "traffic light": (190, 190, 190),
+}
+"""By class, told apart with any colour vision (Okabe and Ito 2008)."""
+
+_MISSED: Color = (255, 60, 60)
+
+_FOUND: Color = (255, 255, 255)
+
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+_SUBPIXEL_BITS = 4
+
+_LEAST_UNIT = 0.8
+"""In smaller pictures tags stay this large, for they must be read."""
+
+
+def drawn(
+    image: UInt8[np.ndarray, "h w 3"],
+    truths: Sequence[Boxed],
+    detections: Sequence[Detection],
+    least_confidence: float = 0.25,
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Return a copy with boxes and tags, which grow with the picture.
+
+    Detections of at least `least_confidence` are full lines in the colour of their class; labelled objects are dashed,
+    white where one of those found them as what they are, red where none did.
+    """
+    picture = np.ascontiguousarray(image).copy()
+    unit = max(_LEAST_UNIT, picture.shape[0] / 720, picture.shape[1] / 1280)
+    shown = sorted((each for each in detections if each.confidence >= least_confidence), key=lambda d: -d.confidence)
+    looked_for = list(zip(truths, matched(truths, shown), strict=True))
+    for truth, match in looked_for:
+        _dashed(picture, truth.box_xyxy, _FOUND if match.confidence > 0 else _MISSED, unit)
+    for each in reversed(shown):
+        _box(picture, each.box_xyxy, color_of(each.class_name), unit)
+    plates: list[Plate] = []
+    for each in shown:
+        text = f"{each.class_name} {each.confidence:.2f}"
+        _written(picture, text, each.box_xyxy, color_of(each.class_name), unit, plates)
+    for truth, match in looked_for:
+        if match.confidence == 0:
+            text = f"{truth.class_name} " + (f"taken for {match.flipped_to}" if match.flipped_to else "missed")
+            _written(picture, text, truth.box_xyxy, _MISSED, unit, plates)
+    return picture
+
+
+def color_of(class_name: str) -> Color:
+    """Colour of a class (RGB), always the same."""
+    known = tuple(_COLORS.values())
+    return _COLORS.get(class_name) or known[crc32(class_name.encode()) % len(known)]
+
+
+def _thickness(unit: float) -> int:
+    return max(1, round(2 * unit))
+
+
+def _fixed(values: Sequence[float]) -> list[int]:
+    """Coordinates as OpenCV takes them with fractions of a pixel: its (0, 0) is the middle of the first pixel."""
+    return [round((value - 0.5) * 2**_SUBPIXEL_BITS) for value in values]
+
+
+def _box(picture: np.ndarray, box: Sequence[float], color: Color, unit: float) -> None:
+    left, top, right, bottom = _fixed(box)
+    dark = (0, 0, 0)
+    for shade, extra in ((dark, 2), (color, 0)):
+        cv2.rectangle(
+            picture, (left, top), (right, bottom), shade, _thickness(unit) + extra, cv2.LINE_AA, _SUBPIXEL_BITS
+        )
+
+
+def _dashed(picture: np.ndarray, box: Sequence[float], color: Color, unit: float) -> None:
+    left, top, right, bottom = box
+    corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
+    dash = 8 * unit
+    for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
+        length = max(abs(end[0] - start[0]), abs(end[1] - start[1]))
+        count = max(1, round(length / (2 * dash)))
+        for number in range(count):
+            first, last = (number + 0.25) / count, (number + 0.75) / count
+            pieces = [[a + (b - a) * share for a, b in zip(start, end, strict=True)] for share in (first, last)]
+            for shade, extra in (((0, 0, 0), 2), (color, 0)):
+                cv2.line(
+                    picture,
+                    tuple(_fixed(pieces[0])),
+                    tuple(_fixed(pieces[1])),
+                    shade,
+                    _thickness(unit) + extra,
+                    cv2.LINE_AA,
+                    _SUBPIXEL_BITS,
+                )
+
+
+def _written(
+    picture: np.ndarray, text: str, box: Sequence[float], color: Color, unit: float, plates: list[Plate]
+) -> None:
+    """Write on a plate above the box; below it, then inside, where that is free of other plates and in the picture."""
+    scale, thickness, pad = 0.5 * unit, max(1, round(unit)), max(2, round(4 * unit))
+    (width, height), base = cv2.getTextSize(text, _FONT, scale, thickness)
+    plate_width, plate_height = width + 2 * pad, height + base // 2 + 2 * pad
+    left = int(np.clip(round(box[0]), 0, max(0, picture.shape[1] - plate_width)))
+    tops = [round(box[1]) - plate_height, round(box[3]), round(box[1])]
+    tops = [top for top in tops if 0 <= top <= picture.shape[0] - plate_height] or [max(0, round(box[1]))]
+    places = [(left, top, left + plate_width, top + plate_height) for top in tops]
+    plate = next((each for each in places if not any(_overlap(each, other) for other in plates)), places[0])
+    plates.append(plate)
+    cv2.rectangle(picture, plate[:2], (plate[2] - 1, plate[3] - 1), color, cv2.FILLED)
+    ink = (0, 0, 0) if np.dot(color, (0.299, 0.587, 0.114)) > 110 else (255, 255, 255)
+    cv2.putText(picture, text, (left + pad, plate[1] + pad + height), _FONT, scale, ink, thickness, cv2.LINE_AA)
+
+
+def _overlap(first: Plate, second: Plate) -> bool:
+    return first[0] < second[2] and second[0] < first[2] and first[1] < second[3] and second[1] < first[3]

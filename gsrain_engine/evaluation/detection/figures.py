@@ -1,0 +1,247 @@
+"""Confidence, overlap and average precision against the intensity of rain, as figures with bands over the seeds."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+from math import ceil
+from typing import Literal, TypeVar
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure, SubFigure
+from PIL import Image, ImageDraw, ImageFont
+
+from ...safe_io.text_files import figure_words
+from ..plot_styles import SeriesStyle, legend_at_right, legend_width_in, series_styles
+from .drawing import drawn
+from .ground_truth import BoxXYXY
+from .run import JudgedPicture, Row
+from .summary import Spread, WeatherScore
+
+MOST_OBJECTS = 8
+"""Of more objects those with most frames are drawn, of these the nearest."""
+
+_WIDTH_IN, _HEIGHT_IN, _DPI = 5.4, 3.9, 150
+
+_WORDS = {
+    "confidence": "confidence of the match (missed: 0)",
+    "iou": "IoU of the match (missed: 0)",
+    "map": "mAP",
+    "map50": "mAP50",
+}
+
+_MOST_PANELS = 4
+"""In a row; those of more detectors go into the next."""
+
+_Seeds = dict[int, list[float]]
+
+_Line = TypeVar("_Line", Row, WeatherScore)
+
+
+def object_figure(rows: Sequence[Row], number: Literal["confidence", "iou"]) -> Figure:
+    """Draw a number against the intensity, a curve for each object and one panel for each detector.
+
+    Where there are several classes of objects, a second block of panels has a curve for each of these. A point is the
+    mean over frames and seeds, a band reaches from the lowest to the highest seed's mean over frames. Where there are
+    both, a cross is the picture as it was taken, and the curve begins at its reconstruction.
+    """
+    objects = shown_objects(rows)
+    many: dict[str, set[str]] = defaultdict(set)
+    for row in rows:
+        many[row.class_name].add(row.object)
+    classes = {name: f"{figure_words(name, 20)}, {_counted(many[name])}" for name in sorted(many)}
+    blocks = [("object", objects), ("class_name", classes)] if len(classes) > 1 else [("object", objects)]
+    detectors = list(dict.fromkeys(row.detector for row in rows))
+    columns = min(len(detectors), _MOST_PANELS)
+    lines = ceil(len(detectors) / columns)
+    height = lines * _HEIGHT_IN
+    beside = max(legend_width_in(len(names) + 1, height) for _, names in blocks)
+    figure = Figure(figsize=(_WIDTH_IN * columns + beside, height * len(blocks)), layout="constrained")
+    parts: list[SubFigure] = list(figure.subfigures(len(blocks), 1, squeeze=False).ravel())
+    for part, (field, names) in zip(parts, blocks, strict=True):
+        grid: list[Axes] = list(np.ravel(part.subplots(lines, columns, sharey=True)))
+        styles = series_styles(len(names))
+        for place, (panel, detector) in enumerate(zip(grid, detectors, strict=False)):
+            own = [row for row in rows if row.detector == detector]
+            for style, name in zip(styles, names, strict=True):
+                _curve(panel, [row for row in own if getattr(row, field) == name], number, style, names[name])
+            _everything(panel, own, number)
+            _dress(panel, figure_words(detector), _WORDS[number] if place % columns == 0 else "")
+        for panel in grid[len(detectors) :]:
+            panel.set_axis_off()
+        handles, labels = grid[0].get_legend_handles_labels()
+        legend_at_right(part, handles, labels, height)
+    return figure
+
+
+def precision_figure(scores: Sequence[WeatherScore]) -> Figure:
+    """Draw mAP and mAP50 of each detector against the intensity, with the range over the seeds."""
+    detectors = list(dict.fromkeys(each.detector for each in scores))
+    entries = len(detectors) + len({each.detector for each in scores if each.picture == "original"})
+    beside = legend_width_in(entries, _HEIGHT_IN)
+    figure = Figure(figsize=(2 * _WIDTH_IN + beside, _HEIGHT_IN), layout="constrained")
+    panels: list[Axes] = list(figure.subplots(1, 2, sharey=True))
+    for panel, number in zip(panels, ("map", "map50"), strict=True):
+        for style, detector in zip(series_styles(len(detectors)), detectors, strict=True):
+            own = [each for each in scores if each.detector == detector]
+            drawn = _one_without_rain(own)
+            spreads: list[Spread] = [getattr(each, number) for each in drawn]
+            _band(panel, [each.intensity_mm_h for each in drawn], spreads, style, figure_words(detector, 28))
+            for each in own:
+                if each not in drawn:
+                    value = getattr(each, number).mean
+                    panel.plot(
+                        [0], [value], "x", color=style.color, label=f"{figure_words(detector, 28)}, pictures as taken"
+                    )
+        _dress(panel, "", _WORDS[number])
+    legend_at_right(figure, *panels[0].get_legend_handles_labels(), _HEIGHT_IN)
+    return figure
+
+
+def pixels(figure: Figure) -> UInt8[np.ndarray, "h w 3"]:
+    """Return a figure as a picture, the same bytes every time."""
+    figure.set_dpi(_DPI)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def shown_objects(rows: Sequence[Row]) -> dict[str, str]:
+    """The objects to draw, those of most frames and of these the nearest first, with what a legend calls them."""
+    frames: dict[str, set[str]] = defaultdict(set)
+    distances: dict[str, list[float]] = defaultdict(list)
+    classes: dict[str, str] = {}
+    for row in rows:
+        frames[row.object].add(row.frame)
+        classes[row.object] = row.class_name
+        distances[row.object].append(np.inf if row.distance_m is None else row.distance_m)
+    middle = {name: float(np.median(each)) for name, each in distances.items()}
+    best = sorted(frames, key=lambda name: (-len(frames[name]), middle[name], name))[:MOST_OBJECTS]
+    return {name: _called(name, classes[name], middle[name], len(frames[name])) for name in best}
+
+
+def _called(name: str, class_name: str, distance_m: float, frames: int) -> str:
+    short = name if len(name) <= 14 else f"{name[:6]}..{name[-6:]}"
+    where = f", {distance_m:.0f} m" if np.isfinite(distance_m) else ""
+    return f"{figure_words(short)}: {figure_words(class_name, 20)}{where}, {frames} frame{'s' if frames > 1 else ''}"
+
+
+def _counted(objects: set[str]) -> str:
+    return f"mean of {len(objects)} object{'' if len(objects) == 1 else 's'}"
+
+
+def _curve(panel: Axes, rows: Sequence[Row], number: str, style: SeriesStyle, label: str) -> None:
+    intensities, spreads = _over_seeds(_one_without_rain(rows), number)
+    _band(panel, intensities, spreads, style, label)
+    taken = [getattr(row, number) for row in rows if row.picture == "original"]
+    if taken and any(row.picture == "clear" for row in rows):
+        panel.plot([0], [float(np.mean(taken))], "x", color=style.color, markersize=7, clip_on=False)
+
+
+def _everything(panel: Axes, rows: Sequence[Row], number: str) -> None:
+    """Draw the mean over all objects, in black."""
+    intensities, spreads = _over_seeds(_one_without_rain(rows), number)
+    label = _counted({row.object for row in rows})
+    panel.plot(intensities, [each.mean for each in spreads], "--", color="black", linewidth=1.8, label=label)
+
+
+def _one_without_rain(lines: Sequence[_Line]) -> list[_Line]:
+    """Of two kinds of pictures at 0 mm/h keep the one that differs from the others by nothing but rain."""
+    has_clear = any(each.picture == "clear" for each in lines)
+    return [each for each in lines if not (has_clear and each.picture == "original")]
+
+
+def _over_seeds(rows: Sequence[Row], number: str) -> tuple[list[float], list[Spread]]:
+    by_intensity: dict[float, _Seeds] = defaultdict(lambda: defaultdict(list))
+    for row in rows:
+        by_intensity[row.intensity_mm_h][row.seed].append(getattr(row, number))
+    intensities = sorted(by_intensity)
+    return intensities, [Spread.of(float(np.mean(each)) for each in by_intensity[r].values()) for r in intensities]
+
+
+def _band(panel: Axes, x: Sequence[float], spreads: Sequence[Spread], style: SeriesStyle, label: str) -> None:
+    lows, highs = [each.low for each in spreads], [each.high for each in spreads]
+    panel.fill_between(x, lows, highs, color=style.color, alpha=style.band, linewidth=0)
+    panel.plot(
+        x, [each.mean for each in spreads], linestyle=style.line, marker=style.marker, color=style.color,
+        markersize=3.5, linewidth=1.4, label=label,
+    )  # fmt: skip
+
+
+def _dress(panel: Axes, title: str, words: str) -> None:
+    panel.set_title(title, fontsize=10)
+    panel.set_xlabel("rain intensity (mm/h)")
+    panel.set_ylabel(words)
+    panel.set_ylim(-0.02, 1.02)
+    panel.grid(alpha=0.3)
+    for side in ("top", "right"):
+        panel.spines[side].set_visible(False)
+
+
+# § One view in all its weathers, with what each detector found there: a picture for reports and videos.
+
+WIDEST_PX = 1920
+
+_NARROWEST_PX = 240
+"""Of a picture; where so many don't fit side by side, they go on below."""
+
+SHOWN_FROM = 0.25
+"""Confidence from which a detection is drawn, and counts as found."""
+
+_GAP_PX, _LINE_PX, _TEXT_PX = 6, 26, 16
+
+_PAPER, _INK, _FAINT = (24, 25, 28), (232, 232, 236), (160, 162, 170)
+
+_SHEET_WORDS = {"original": "as taken", "clear": "without rain"}
+
+
+def detection_sheet(pictures: Sequence[JudgedPicture]) -> UInt8[np.ndarray, "h w 3"]:
+    """Lay the pictures of one view side by side, a row for each detector: what it found, what it missed.
+
+    Pictures of many weathers go on below in as many blocks of rows. Width and height are even, as videos need them; at
+    most 1920 px wide.
+    """
+    first = pictures[0]
+    columns, detectors = min(len(pictures), (WIDEST_PX - _GAP_PX) // (_NARROWEST_PX + _GAP_PX)), list(first.judgements)
+    wide = min(first.image.shape[1], (WIDEST_PX - (columns + 1) * _GAP_PX) // columns)
+    tall = round(wide * first.image.shape[0] / first.image.shape[1])
+    width = columns * (wide + _GAP_PX) + _GAP_PX
+    block = _LINE_PX + len(detectors) * (_LINE_PX + tall + _GAP_PX)
+    height = block * ceil(len(pictures) / columns)
+    sheet = Image.new("RGB", (width + width % 2, height + height % 2), _PAPER)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(_TEXT_PX)
+    for place, picture in enumerate(pictures):
+        line, column = divmod(place, columns)
+        left = _GAP_PX + column * (wide + _GAP_PX)
+        draw.text((left, line * block + 4), _weather(picture), _INK, font)
+        for row, detector in enumerate(detectors):
+            top = line * block + _LINE_PX + row * (_LINE_PX + tall + _GAP_PX)
+            judgement = picture.judgements[detector]
+            found = sum(match.confidence >= SHOWN_FROM for match in judgement.matches)
+            draw.text((left, top + 2), f"{detector}: {found} of {len(judgement.truths)} found", _FAINT, font)
+            sheet.paste(Image.fromarray(_cell(picture, detector, (wide, tall))), (left, top + _LINE_PX))
+    return np.asarray(sheet)
+
+
+def _cell(picture: JudgedPicture, detector: str, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
+    """Picture in its size on the sheet, and boxes drawn in that size, so that they can be read."""
+    judgement, scale = picture.judgements[detector], size[0] / picture.image.shape[1]
+    image = picture.image
+    if scale != 1:
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    truths = [replace(each, box_xyxy=_scaled(each.box_xyxy, scale)) for each in judgement.truths]
+    detections = [replace(each, box_xyxy=_scaled(each.box_xyxy, scale)) for each in judgement.detections]
+    return drawn(image, truths, detections, SHOWN_FROM)
+
+
+def _scaled(box: BoxXYXY, scale: float) -> BoxXYXY:
+    left, top, right, bottom = box
+    return scale * left, scale * top, scale * right, scale * bottom
+
+
+def _weather(picture: JudgedPicture) -> str:
+    trial = picture.trial
+    return _SHEET_WORDS.get(trial.kind) or f"{trial.intensity_mm_h:g} mm/h"

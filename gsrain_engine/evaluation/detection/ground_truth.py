@@ -1,0 +1,184 @@
+"""What a detector should find in a picture: objects with a class, a box, and how well they can be seen."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from ...datasets.capture import TrackedBox
+from ...render.object_labels import bounds, cut_at_edges, outline, seen_objects
+from ...render.renderer import Renderer
+from ...safe_io.text_files import json_values, printable, read_whole
+from ...scene.camera import Camera
+from ...scene.geometry import box_corners
+from ...scene.objects import SceneObject, coco_class
+from ...scene.scene import Scene
+
+BoxXYXY = tuple[float, float, float, float]
+"""Left, top, right, bottom in pixels; the left edge of the first column is 0."""
+
+LEAST_VISIBILITY = 0.25
+
+LEAST_HEIGHT_PX = 16.0
+"""Objects of less are hardly there for anybody: they are no misses, and who finds them is not wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledObject:
+    """One object in one picture."""
+
+    id: str
+    """The same in every frame of a drive."""
+    class_name: str
+    """As COCO calls it, where COCO knows it; see `label_class`."""
+    box_xyxy: BoxXYXY
+    """What can be seen of it, cut at the picture's edges."""
+    visibility: float = 1.0
+    """Visible area over the area that it had if nothing stood in front of it; 0..1."""
+    distance_m: float | None = None
+    """From the camera to its middle; None where nobody knows."""
+    is_ignored: bool = False
+    """Such as a crowd: no miss when it is not found, no mistake when it is."""
+
+    @property
+    def height_px(self) -> float:
+        return self.box_xyxy[3] - self.box_xyxy[1]
+
+    @property
+    def counts(self) -> bool:
+        """Whether it is large and free enough to be asked for."""
+        return not self.is_ignored and self.visibility >= LEAST_VISIBILITY and self.height_px >= LEAST_HEIGHT_PX
+
+
+# § Labelled objects of a recorded view: the 3D boxes that people drew, projected into it.
+
+
+def truth_from_boxes(boxes: Sequence[TrackedBox], camera: Camera, time_s: float) -> tuple[LabelledObject, ...]:
+    """Project boxes into a camera without distortion, both in the capture's world (metres); the nearest one first.
+
+    A box is that of the projected 3D box cut at the picture's edges: a few percent larger than the thing itself, and
+    not cut where something stands in front. Visibility is the share of the outline that no nearer box covers; what has
+    no box, such as a wall, hides nothing.
+    """
+    found = [(pose, box) for box in boxes if (pose := box.track.pose(time_s)) is not None]
+    placed = [(camera.world_to_camera @ pose, box) for pose, box in found]
+    placed.sort(key=lambda each: _distance(each[0], each[1]))
+    covered = np.zeros((camera.height, camera.width), bool)
+    truths: list[LabelledObject] = []
+    for to_camera, box in placed:
+        within = cut_at_edges(outline(box_corners(to_camera, box.size_lwh), camera), camera)
+        own = _filled(within, camera)
+        if own.any():
+            visibility = float((own & ~covered).sum() / own.sum())
+            distance = _distance(to_camera, box)
+            truths.append(LabelledObject(box.id, label_class(box.class_name), bounds(within), visibility, distance))
+            covered |= own
+    return tuple(truths)
+
+
+def _distance(to_camera: Float64[np.ndarray, "4 4"], box: TrackedBox) -> float:
+    return float(np.linalg.norm(to_camera[:3, 3] + to_camera[:3, 2] * (box.size_lwh[2] / 2)))
+
+
+def _filled(polygon: Float64[np.ndarray, "c 2"], camera: Camera) -> Bool[np.ndarray, "h w"]:
+    """Pixels within a convex polygon."""
+    pixels = np.zeros((camera.height, camera.width), np.uint8)
+    if len(polygon) >= 3:
+        cv2.fillConvexPoly(pixels, np.floor(polygon).astype(np.int32), 1)
+    return pixels > 0
+
+
+# § Labelled objects of a rendered view: what a scene's actors and parked vehicles show of themselves in it.
+
+
+def truth_from_scene(
+    renderer: Renderer, scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float
+) -> tuple[LabelledObject, ...]:
+    """Render which pixels show which object, from a camera in the world (metres); the nearest object first.
+
+    Boxes are those of visible pixels, as people draw them around what they see. Rain takes no part.
+    """
+    return tuple(
+        LabelledObject(
+            each.object.id, label_class(each.object.class_name), each.box_xyxy, each.visibility, each.distance_m
+        )
+        for each in seen_objects(renderer, scene, objects, camera, time_s)
+    )
+
+
+# § Labelled objects out of a COCO file (annotations of instances), by the names of pictures.
+
+_MOST_BYTES = 1 << 30
+"""COCO's own annotations of 118 000 pictures are 450 MB."""
+
+
+def read_coco(file: Path) -> dict[str, tuple[LabelledObject, ...]]:
+    """Read the objects of each picture by its `file_name`; pictures without any are there too.
+
+    `visibility`, `distance_m` and `object`, which COCO lacks and `gsrain render --labels coco` writes, are read where
+    they are; a crowd is ignored. Raises ValueError with the file and what is wrong with it.
+    """
+    try:
+        document = json_values(read_whole(file, _MOST_BYTES))
+        classes = {int(each["id"]): str(each["name"]) for each in document["categories"]}
+        names = {int(each["id"]): str(each["file_name"]) for each in document["images"]}
+        found: dict[str, list[LabelledObject]] = {name: [] for name in names.values()}
+        for annotation in document["annotations"]:
+            found[names[int(annotation["image_id"])]].append(_object(annotation, classes))
+    except OSError as error:
+        raise ValueError(f"{file}: can't be read ({error.strerror or error})") from None
+    except KeyError as error:
+        raise ValueError(f"{file}: a COCO file refers to {printable(repr(error.args[0]))}, which it lacks") from None
+    except (ValueError, TypeError, AttributeError, OverflowError) as error:
+        raise ValueError(f"{file}: not a COCO file of instances ({printable(error)})") from None
+    return {name: tuple(objects) for name, objects in found.items()}
+
+
+def _object(annotation: dict[str, Any], classes: dict[int, str]) -> LabelledObject:
+    left, top, width, height = (float(each) for each in annotation["bbox"])
+    distance = annotation.get("distance_m")
+    return LabelledObject(
+        id=str(annotation.get("object", annotation["id"])),
+        class_name=label_class(classes[int(annotation["category_id"])]),
+        box_xyxy=(left, top, left + width, top + height),
+        visibility=float(annotation.get("visibility", 1.0)),
+        distance_m=None if distance is None else float(distance),
+        is_ignored=bool(annotation.get("iscrowd", 0)),
+    )
+
+
+# § Classes of labels and of detectors: which word of a detector names a labelled object.
+
+VEHICLE = "vehicle"
+"""Class of data sets (Waymo Open) that tell no kinds of vehicles apart, and of detectors that don't."""
+
+KINDS_OF_VEHICLES = frozenset({"car", "truck", "bus", "van", "trailer"})
+"""Any of these is right for a vehicle; none of COCO's other classes is."""
+
+
+@cache
+def label_class(name: str) -> str:
+    """Return the class of a data set's `name`: `coco_class`, but a vehicle of unknown kind stays a vehicle."""
+    plain = name.strip().lower().rpartition(".")[2]
+    return VEHICLE if plain.removeprefix("type_") == VEHICLE else coco_class(name)
+
+
+@cache
+def names_class(detected: str, labelled: str) -> bool:
+    """Whether a detector's word is right for an object that is labelled so.
+
+    Words of data sets stand for COCO's: Pedestrian is a person. A vehicle is any of `KINDS_OF_VEHICLES`, either way.
+    """
+    seen, label = label_class(detected), label_class(labelled)
+    general = seen if label == VEHICLE else label if seen == VEHICLE else None
+    return seen == label or general in KINDS_OF_VEHICLES
+
+
+def can_name(classes: Collection[str], labelled: str) -> bool:
+    """Whether a detector of these classes has a word for an object; one that lists none is taken to know all."""
+    return not classes or any(names_class(each, labelled) for each in classes)

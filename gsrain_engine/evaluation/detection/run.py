@@ -1,0 +1,466 @@
+"""Detectors over views, rains and seeds: each picture is made once and shown to all of them."""
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Literal, NamedTuple, Protocol, runtime_checkable
+
+import msgspec
+import numpy as np
+from jaxtyping import Float64, UInt8
+from msgspec import structs
+
+from ...appearance.scene_views import PlacedCamera
+from ...datasets.capture import Capture
+from ...datasets.undistort import prepared
+from ...rain.settings import Rain
+from ...rain.simulation import Rainfall
+from ...render.draw import Shot, draw_shot, rain_in
+from ...render.renderer import Renderer
+from ...render.sky_color import Sky
+from ...safe_io.limits import read_file
+from ...scene.files import whole_file
+from ...scene.geometry import linear_to_srgb, srgb_to_linear
+from ...scene.objects import scene_objects
+from ...scene.scene import Scene
+from .decoders import intersection_over_union
+from .detector import Detection
+from .ground_truth import LabelledObject, can_name, truth_from_boxes, truth_from_scene
+from .metrics import LEAST_IOU, Match, matched
+
+
+@runtime_checkable
+class Finder(Protocol):
+    """What finds objects in pictures, such as a `Detector`."""
+
+    @property
+    def name(self) -> str:
+        """What rows call it."""
+        ...
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Words that it has for objects; without any it is taken to know all."""
+        ...
+
+    def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
+        """Find objects in a picture (RGB), the most confident first."""
+        ...
+
+
+# § The pictures that detectors are shown of one view: as it was taken, clear, and in rains of many seeds.
+
+Kind = Literal["original", "clear", "rainy"]
+"""As a camera took it; the scene without rain; in rain."""
+
+
+class Trial(NamedTuple):
+    """What a view is shown in."""
+
+    kind: Kind
+    intensity_mm_h: float
+    seeds: tuple[int, ...]
+    """For which it stands: one of a rain, all of a picture without rain."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judgement:
+    """What one detector made of one picture."""
+
+    detector: str
+    trial: Trial
+    frame: str
+    truths: tuple[LabelledObject, ...]
+    """Objects that are large and free enough to be asked for."""
+    matches: tuple[Match, ...]
+    """One for each of them."""
+    detections: tuple[Detection, ...]
+    """Without those that found an object which is not asked for."""
+    not_named: tuple[LabelledObject, ...] = ()
+    """Objects that would be asked for, had the detector a word for them: a sign, for one of COCO's classes."""
+
+
+# § Views that detectors are tried on: from where, when, what is there to be found, and the picture that was taken.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JudgedFrame:
+    """One view. World: metres, z up."""
+
+    name: str
+    shot: Shot
+    truths: tuple[LabelledObject, ...]
+    original: Callable[[], UInt8[np.ndarray, "h w 3"]] | None = None
+    """Reads the picture that a camera took there; none where nobody did."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JudgedPicture:
+    """A picture with what all detectors made of it."""
+
+    frame: JudgedFrame
+    trial: Trial
+    judgements: Mapping[str, Judgement]
+    """By detector."""
+    take: Callable[[], UInt8[np.ndarray, "h w 3"]]
+    """Makes the picture once: one judged in an earlier run is not made until somebody asks."""
+
+    @property
+    def image(self) -> UInt8[np.ndarray, "h w 3"]:
+        return self.take()
+
+
+@runtime_checkable
+class Memory(Protocol):
+    """What was judged before, such as `Finished`."""
+
+    def known(self, detector: str, frame: JudgedFrame, trial: Trial) -> Judgement | None:
+        """The judgement of a picture, if it was made before."""
+        ...
+
+    def keep(self, judgement: Judgement, frame: JudgedFrame) -> None:
+        """Take note of one."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pictures:
+    """Makes the pictures of views. A rain's seed decides its drops: intensities of one seed differ as little as can be.
+
+    Without a scene rain falls in front of the pictures that were taken, as if all that they show were far behind it.
+    """
+
+    renderer: Renderer
+    scene: Scene
+    rain: Rain
+    """All but its intensity and its seed."""
+    sky: Sky
+    is_in_front: bool = False
+    """Whether rain falls in front of taken pictures."""
+    _rains: dict[tuple[float, int], Rainfall] = field(default_factory=dict[tuple[float, int], Rainfall])
+
+    def take(self, frame: JudgedFrame, trial: Trial) -> UInt8[np.ndarray, "h w 3"]:
+        """Make one picture; the same every time. Wet colours come with the rain where the scene has them."""
+        if trial.kind == "original":
+            assert frame.original is not None
+            return frame.original()
+        if trial.kind == "clear":
+            return self._drawn(frame, None)
+        rainfall = self._rainfall(trial.intensity_mm_h, trial.seeds[0])
+        return self._in_front(frame, rainfall) if self.is_in_front else self._drawn(frame, rainfall)
+
+    def _rainfall(self, intensity_mm_h: float, seed: int) -> Rainfall:
+        key = intensity_mm_h, seed
+        if key not in self._rains:
+            rain = structs.replace(self.rain, intensity_mm_h=intensity_mm_h, seed=seed)
+            self._rains[key] = Rainfall.start(rain)
+        return self._rains[key]
+
+    def _drawn(self, frame: JudgedFrame, rainfall: Rainfall | None) -> UInt8[np.ndarray, "h w 3"]:
+        wetness = 0.0 if rainfall is None else rainfall.wetness_at(frame.shot.time_s)
+        draw_shot(self.renderer, self.scene, rainfall, self.sky.at(wetness), frame.shot)
+        return self.renderer.read().to_uint8()
+
+    def _in_front(self, frame: JudgedFrame, rainfall: Rainfall) -> UInt8[np.ndarray, "h w 3"]:
+        """Mix rain over the taken picture B, with W its share of a pixel and S its light: enc((1 - W) dec(B) + W S)."""
+        assert frame.original is not None
+        falling = rain_in(self.scene, rainfall, self.sky.color, frame.shot)
+        self.renderer.draw([], frame.shot.camera, falling)
+        share = self.renderer.read().rgba[..., 3:]
+        is_linear = rainfall.rain.rain_light == "linear"
+        encode, decode = (linear_to_srgb, srgb_to_linear) if is_linear else (np.asarray, np.asarray)
+        light = decode(np.array(rainfall.rain.drop_color or self.sky.color))
+        mixed = encode((1 - share) * decode(frame.original().astype(np.float64) / 255) + share * light)
+        return np.rint(np.clip(mixed, 0, 1) * 255).astype(np.uint8)
+
+
+def judged_pictures(
+    pictures: Pictures,
+    detectors: Sequence[Finder],
+    frames: Sequence[JudgedFrame],
+    trials: Sequence[Trial],
+    memory: Memory | None = None,
+) -> Iterator[JudgedPicture]:
+    """Make each picture and show it to each detector; view by view, in the order of the trials.
+
+    What the memory knows is not asked for again, and what it does not know it is told.
+    """
+    for frame in frames:
+        for trial in trials:
+            take = cache(partial(pictures.take, frame, trial))
+            judgements: dict[str, Judgement] = {}
+            for each in detectors:
+                judgement = None if memory is None else memory.known(each.name, frame, trial)
+                if judgement is None:
+                    judgement = judged(each.name, frame, trial, each.detect(take()), each.classes)
+                    if memory is not None:
+                        memory.keep(judgement, frame)
+                judgements[each.name] = judgement
+            yield JudgedPicture(frame, trial, judgements, take)
+
+
+def judged(
+    detector: str, frame: JudgedFrame, trial: Trial, detections: Sequence[Detection], classes: tuple[str, ...] = ()
+) -> Judgement:
+    """Match detections with the objects of a view; `classes` are those that the detector can name, if it tells.
+
+    Objects that are not asked for take part in the matching, so that who finds them is not wrong: those too small or
+    too hidden, and those of classes that the detector has no word for.
+    """
+    counted = tuple(each for each in frame.truths if each.counts)
+    truths = tuple(each for each in counted if can_name(classes, each.class_name))
+    matches = tuple(matched(truths, detections))
+    others = [each for each in frame.truths if each not in truths]
+    fair = tuple(detections)
+    if others and detections:
+        fair = _without_finds(detections, truths, others)
+    not_named = tuple(each for each in counted if each not in truths)
+    return Judgement(detector, trial, frame.name, truths, matches, fair, not_named)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One object in one picture, as one detector saw it: a line of the tables."""
+
+    detector: str
+    picture: Kind
+    intensity_mm_h: float
+    seed: int
+    frame: str
+    object: str
+    class_name: str
+    confidence: float
+    """Of the detection of its own class with an IoU of 0.5 or more; 0 where it was missed."""
+    iou: float
+    """Of that detection; 0 where it was missed."""
+    confidence_any_class: float
+    iou_any_class: float
+    class_seen: str | None
+    """What it was taken for; None where nothing was found there."""
+    visibility: float
+    distance_m: float | None
+    height_px: float
+
+    def plain(self) -> dict[str, Any]:
+        """Return its fields by the names of the tables."""
+        fields = {name: getattr(self, name) for name in Row.__slots__}
+        return {("class" if name == "class_name" else name): value for name, value in fields.items()}
+
+
+def rows_of(judgement: Judgement) -> Iterator[Row]:
+    """Lines of a picture: one for each object and each seed, so that seeds pair across intensities, 0 mm/h too."""
+    trial = judgement.trial
+    for seed in trial.seeds:
+        for truth, match in zip(judgement.truths, judgement.matches, strict=True):
+            yield Row(
+                judgement.detector, trial.kind, trial.intensity_mm_h, seed, judgement.frame, truth.id, truth.class_name,
+                match.confidence, match.iou, match.confidence_any_class, match.iou_any_class, match.class_seen,
+                truth.visibility, truth.distance_m, truth.height_px,
+            )  # fmt: skip
+
+
+def _without_finds(
+    detections: Sequence[Detection], truths: Sequence[LabelledObject], others: Sequence[LabelledObject]
+) -> tuple[Detection, ...]:
+    """Leave out detections that lie on an object that is not asked for, and better on it than on any that is."""
+    boxes = np.array([each.box_xyxy for each in detections], np.float64)
+    there = intersection_over_union(_boxes(others), boxes).max(axis=0)
+    asked = intersection_over_union(_boxes(truths), boxes).max(axis=0) if truths else np.zeros(len(boxes))
+    return tuple(each for each, o, a in zip(detections, there, asked, strict=True) if not (o >= LEAST_IOU and o > a))
+
+
+def _boxes(objects: Sequence[LabelledObject]) -> np.ndarray:
+    return np.array([each.box_xyxy for each in objects], np.float64).reshape(-1, 4)
+
+
+# § What detectors made of pictures in an earlier run, kept line by line: a sweep that was stopped goes on from there.
+
+FINISHED_FILE = "finished.jsonl"
+
+_FORM = b"2"
+"""Goes up where the same inputs are judged otherwise than in an earlier program."""
+
+_DIGITS = 16
+
+_Picture = tuple[str, str, float, int]
+"""Key of detector and view, kind of picture, intensity, first seed."""
+
+
+class _Line(msgspec.Struct, frozen=True, kw_only=True):
+    """A line of the file: a judgement, and a hash of all that it follows from."""
+
+    key: str
+    judgement: Judgement
+
+
+class Finished:
+    """Judgements in a file, one to a line, each written whole as soon as it is made. A torn last line is not read.
+
+    A judgement is known again where its detector, its view and all that its picture is made of are the same: more
+    seeds, intensities, views or detectors only add to the file, and what was made of anything else is left out of it.
+    """
+
+    def __init__(self, file: Path, inputs: Mapping[str, Any], detectors: Mapping[str, str]) -> None:
+        """Read what is there.
+
+        Args:
+            file: Need not be there yet; its folder must.
+            inputs: All that pictures follow from but the view: hashes of files, settings, versions.
+            detectors: By name, a hash of its file and of how it is used.
+        """
+        told = msgspec.json.encode(inputs, order="sorted")
+        self._bases = {name: _hash(_FORM, told, name.encode(), each.encode()) for name, each in detectors.items()}
+        self._file = file
+        self._known: dict[_Picture, Judgement] = {}
+        self._stream: BinaryIO | None = None
+
+    def __enter__(self) -> "Finished":
+        self._stream = self._file.open("ab")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._stream is not None:
+            self._stream.close()
+
+    def read(self, frames: list[JudgedFrame]) -> int:
+        """Take over what still holds for these views, and drop the rest from the file; returns how many judgements."""
+        if not self._file.is_file():
+            return 0
+        keys = {self._key(name, frame) for name in self._bases for frame in frames}
+        lines = read_file(self._file).splitlines(keepends=True)
+        kept: list[bytes] = []
+        for line in lines:
+            try:
+                read = msgspec.json.decode(line, type=_Line)
+            except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):  # torn when a run was killed
+                continue
+            if read.key in keys and line.endswith(b"\n"):
+                kept.append(line)
+                self._known[_picture(read.key, read.judgement.trial)] = read.judgement
+        if len(kept) < len(lines):
+            with whole_file(self._file) as beside:
+                beside.write_bytes(b"".join(kept))
+        return len(self._known)
+
+    def known(self, detector: str, frame: JudgedFrame, trial: Trial) -> Judgement | None:
+        found = self._known.get(_picture(self._key(detector, frame), trial))
+        return None if found is None else replace(found, trial=trial)
+
+    def keep(self, judgement: Judgement, frame: JudgedFrame) -> None:
+        assert self._stream is not None
+        line = _Line(key=self._key(judgement.detector, frame), judgement=judgement)
+        self._stream.write(msgspec.json.encode(line, enc_hook=_plain) + b"\n")
+        self._stream.flush()
+
+    def _key(self, detector: str, frame: JudgedFrame) -> str:
+        return _hash(self._bases[detector].encode(), *_told((frame.name, frame.shot, frame.truths)))
+
+
+def _picture(key: str, trial: Trial) -> _Picture:
+    return key, trial.kind, trial.intensity_mm_h, trial.seeds[0]
+
+
+def _told(value: Any) -> list[bytes]:
+    """The bytes of a value: arrays whole, dataclasses field by field."""
+    if isinstance(value, np.ndarray):
+        return [value.tobytes()]
+    if isinstance(value, tuple):
+        return [part for each in value for part in _told(each)]
+    if is_dataclass(value):
+        return [part for each in fields(value) for part in (each.name.encode(), *_told(getattr(value, each.name)))]
+    return [repr(value).encode()]
+
+
+def _hash(*parts: bytes) -> str:
+    found = hashlib.sha256()
+    for part in parts:
+        found.update(len(part).to_bytes(8, "little") + part)
+    return found.hexdigest()[:_DIGITS]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise NotImplementedError(type(value).__name__)
+
+
+_STEP_S = 0.005
+"""Half the time over which a speed is taken."""
+
+Labels = dict[str, tuple[LabelledObject, ...]]
+
+
+def scene_frames(renderer: Renderer, scene: Scene, placed: Sequence[PlacedCamera]) -> list[JudgedFrame]:
+    """Views of a scene whose own actors (and parked vehicles) are to be found.
+
+    Raises ValueError for a scene in which nothing has a class.
+    """
+    objects = scene_objects(scene)
+    if not objects:
+        raise ValueError(f"scene {scene.name!r} has no actors to be found; --capture or --truth says what is there")
+    return [
+        JudgedFrame(
+            each.name, shot_in(scene, each), truth_from_scene(renderer, scene, objects, each.camera, each.time_s)
+        )
+        for each in placed
+    ]
+
+
+def recorded_frames(
+    scene: Scene, placed: Sequence[PlacedCamera], capture: Capture, labels: Labels | None = None
+) -> list[JudgedFrame]:
+    """Views of a scene, or of a world of nothing, that a capture has pictures of, by the names of its views.
+
+    What is there to be found are the capture's 3D boxes, or `labels` by the names of views and of their files.
+    Raises ValueError where there are neither.
+    """
+    if labels is None and not (capture.boxes and capture.is_metric):
+        raise ValueError(f"{capture.name}: has no 3D boxes of what is to be found; --truth names a COCO file")
+    views = {view.name: view for view in capture}
+    frames: list[JudgedFrame] = []
+    for each in placed:
+        view = prepared(views[each.name], each.camera.width)
+        if labels is None:
+            truths = truth_from_boxes(capture.boxes, view.camera, view.time_s)
+        else:
+            truths = _labels_of(labels, each.name)
+        frames.append(JudgedFrame(each.name, shot_in(scene, each), truths, lambda view=view: view.image))
+    return frames
+
+
+def shot_in(scene: Scene, placed: PlacedCamera) -> Shot:
+    """The shot of a camera that rides on the scene's ego vehicle, if there is one at its time."""
+    return Shot(placed.camera, placed.time_s, _velocity(scene, placed.camera.position, placed.time_s))
+
+
+def _velocity(scene: Scene, position: Float64[np.ndarray, "3"], time_s: float) -> Float64[np.ndarray, "3"]:
+    """Of a place that is fixed to the ego vehicle, in m/s; zero without one."""
+    now, before, after = (scene.ego_to_world(time_s + step) for step in (0.0, -_STEP_S, _STEP_S))
+    if now is None or before is None or after is None:
+        return np.zeros(3)
+    mounted = np.linalg.inv(now) @ np.append(position, 1.0)
+    return ((after - before) @ mounted)[:3] / (2 * _STEP_S)
+
+
+def _labels_of(labels: Labels, name: str) -> tuple[LabelledObject, ...]:
+    """Labels by a view's name, with or without folder and ending; none where the file does not know it."""
+    stem = name.rpartition("/")[2].rpartition(".")[0] or name.rpartition("/")[2]
+    for known, truths in labels.items():
+        if name == known or stem == (known.rpartition("/")[2].rpartition(".")[0] or known):
+            return truths
+    return ()
+
+
+def trials_of(
+    intensities_mm_h: tuple[float, ...], seeds: tuple[int, ...], *, originals: bool, scene: bool
+) -> list[Trial]:
+    """All that a view is shown in: without rain first, then each rain with each seed, the same seeds in each."""
+    clear = [Trial("original", 0.0, seeds)] if originals else []
+    clear += [Trial("clear", 0.0, seeds)] if scene else []
+    rainy = [Trial("rainy", rate, (seed,)) for rate in intensities_mm_h if rate > 0 for seed in seeds]
+    return clear + rainy

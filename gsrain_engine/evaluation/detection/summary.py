@@ -1,0 +1,231 @@
+"""Detection in rain as numbers: what is left of confidence, boxes and average precision at each intensity."""
+
+import csv
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.special import stdtrit
+
+from ...scene.files import whole_file
+from .ground_truth import names_class
+from .metrics import DistanceRecall, Robustness, average_precision, recall_by_distance, robustness
+from .run import Judgement, Kind, Row
+
+FOUND_FROM = 0.25
+"""Confidence from which an object counts as found in the recalls."""
+
+DISTANCES_M = (0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 100.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """A number over the seeds: its mean, and the lowest and highest seed."""
+
+    mean: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: Iterable[float]) -> "Spread":
+        taken = np.array(list(values), np.float64)
+        return cls(float(taken.mean()), float(taken.min()), float(taken.max()))
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A difference between two weathers, seed by seed: its mean and 95 % confidence interval (Student's t)."""
+
+    mean: float
+    low: float
+    high: float
+    """NaN both for a single seed and without rain. They tell how much drops matter, not how other streets fare."""
+
+    @classmethod
+    def of(cls, differences: Sequence[float]) -> "Change":
+        values, n = np.asarray(differences, np.float64), len(differences)
+        if n < 2:
+            return cls(float(values.mean()), float("nan"), float("nan"))
+        half = float(stdtrit(n - 1, 0.975) * values.std(ddof=1) / np.sqrt(n))
+        return cls(float(values.mean()), float(values.mean()) - half, float(values.mean()) + half)
+
+
+@dataclass(frozen=True, slots=True)
+class WeatherScore:
+    """A detector in one weather."""
+
+    detector: str
+    picture: Kind
+    intensity_mm_h: float
+    objects: int
+    """Asked for, over all frames; the same for each seed."""
+    confidence: Spread
+    """Mean over objects, 0..1, those that were missed as 0."""
+    iou: Spread
+    """Mean over objects, 0..1, those that were missed as 0."""
+    recall: Spread
+    """Share of objects found with a confidence of 0.25 or more; 0..1."""
+    flips: Spread
+    """Share of all objects that were taken for another class, with a confidence of 0.25 or more; 0..1."""
+    map: Spread
+    """Average precision as COCO has it (IoU 0.5 to 0.95), 0..1: see `AveragePrecision`."""
+    map50: Spread
+    change: Change | None
+    """Of the mean confidence from the picture without rain; None for that one."""
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceScore:
+    """Recall of a detector in one weather between two distances, over all seeds."""
+
+    detector: str
+    picture: Kind
+    intensity_mm_h: float
+    recall: DistanceRecall
+
+
+_Weather = tuple[str, Kind, float]
+
+
+def scores(rows: Sequence[Row], judgements: Sequence[Judgement]) -> list[WeatherScore]:
+    """Score each detector in each weather, detector by detector, without rain first."""
+    pictures: dict[_Weather, dict[int, list[Judgement]]] = defaultdict(lambda: defaultdict(list))
+    for each in judgements:
+        for seed in each.trial.seeds:
+            pictures[each.detector, each.trial.kind, each.trial.intensity_mm_h][seed].append(each)
+    lines: dict[_Weather, dict[int, list[Row]]] = defaultdict(lambda: defaultdict(list))
+    for row in rows:
+        lines[row.detector, row.picture, row.intensity_mm_h][row.seed].append(row)
+    found: list[WeatherScore] = []
+    detectors = list(dict.fromkeys(each.detector for each in judgements))
+    for weather, by_seed in sorted(pictures.items(), key=lambda each: (detectors.index(each[0][0]), each[0][2])):
+        if not lines[weather]:
+            continue
+        own = lines[weather]
+        precision = _precisions(by_seed)
+        base = _base(weather, pictures)
+        found.append(
+            WeatherScore(
+                *weather,
+                objects=len(next(iter(own.values()))),
+                confidence=Spread.of(_mean(each, "confidence") for each in own.values()),
+                iou=Spread.of(_mean(each, "iou") for each in own.values()),
+                recall=Spread.of(float(np.mean([r.confidence >= FOUND_FROM for r in each])) for each in own.values()),
+                flips=Spread.of(float(np.mean([_is_flip(r) for r in each])) for each in own.values()),
+                map=Spread.of(value for value, _ in precision),
+                map50=Spread.of(value for _, value in precision),
+                change=None if base is None else _change(own, lines[base]),
+            )
+        )
+    return found
+
+
+def robustness_of(scored: Sequence[WeatherScore]) -> dict[str, Robustness]:
+    """MPC and rPC of each detector's mAP over the intensities of rain; detectors that saw none are left out."""
+    found: dict[str, Robustness] = {}
+    for detector in dict.fromkeys(each.detector for each in scored):
+        own = [each for each in scored if each.detector == detector]
+        rainy = [each.map.mean for each in own if each.picture == "rainy"]
+        clear = [each.map.mean for each in own if each.picture == "clear"]
+        clear = clear or [each.map.mean for each in own if each.picture == "original"]
+        if rainy and clear:
+            found[detector] = robustness(clear[0], rainy)
+    return found
+
+
+def distance_scores(rows: Sequence[Row], edges_m: Sequence[float] = DISTANCES_M) -> list[DistanceScore]:
+    """Recall by distance of each detector in each weather, over all seeds; bins without an object are left out."""
+    by_weather: dict[_Weather, list[Row]] = defaultdict(list)
+    for row in rows:
+        if row.distance_m is not None and (row.picture == "rainy" or row.seed == rows[0].seed):
+            by_weather[row.detector, row.picture, row.intensity_mm_h].append(row)
+    found: list[DistanceScore] = []
+    detectors = list(dict.fromkeys(row.detector for row in rows))
+    for weather, own in sorted(by_weather.items(), key=lambda each: (detectors.index(each[0][0]), each[0][2])):
+        distances, confidences = _array(own, "distance_m"), _array(own, "confidence")
+        bins = recall_by_distance(distances, confidences, edges_m, FOUND_FROM)
+        found += [DistanceScore(*weather, each) for each in bins if each.objects]
+    return found
+
+
+def plain(score: WeatherScore | DistanceScore) -> dict[str, Any]:
+    """Return a score as plain values for JSON, NaN as None."""
+    return {name: _finite(value) for name, value in asdict(score).items()}
+
+
+def _base(weather: _Weather, pictures: Iterable[_Weather]) -> _Weather | None:
+    """The weather without rain that a rainy one is compared with."""
+    detector, kind, _ = weather
+    without: tuple[Kind, ...] = ("clear", "original") if kind == "rainy" else ("original",) if kind == "clear" else ()
+    there = set(pictures)
+    return next(((detector, each, 0.0) for each in without if (detector, each, 0.0) in there), None)
+
+
+def _change(own: dict[int, list[Row]], base: dict[int, list[Row]]) -> Change:
+    changes = [_mean(rows, "confidence") - _mean(base[seed], "confidence") for seed, rows in own.items()]
+    has_seeds = next(iter(own.values()))[0].picture == "rainy"
+    return Change.of(changes if has_seeds else changes[:1])
+
+
+def _precisions(by_seed: dict[int, list[Judgement]]) -> list[tuple[float, float]]:
+    """Both average precisions of each seed; of equal pictures only once."""
+    known: dict[tuple[int, ...], tuple[float, float]] = {}
+    for own in by_seed.values():
+        key = tuple(id(each) for each in own)
+        if key not in known:
+            precision = average_precision([each.truths for each in own], [each.detections for each in own])
+            known[key] = precision.map, precision.map50
+    return [known[tuple(id(each) for each in own)] for own in by_seed.values()]
+
+
+def _is_flip(row: Row) -> bool:
+    if row.class_seen is None or names_class(row.class_seen, row.class_name):
+        return False
+    return row.confidence_any_class >= FOUND_FROM
+
+
+def _mean(rows: Sequence[Row], name: str) -> float:
+    return float(_array(rows, name).mean())
+
+
+def _array(rows: Sequence[Row], name: str) -> Float64[np.ndarray, " n"]:
+    return np.array([getattr(each, name) for each in rows], np.float64)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _finite(each) for name, each in value.items()}
+    return None if isinstance(value, float) and np.isnan(value) else value
+
+
+# § The rows of a sweep as files: CSV for everybody, Parquet for data frames.
+
+
+def write_csv(file: Path, rows: Sequence[Row]) -> None:
+    """Write rows as CSV with a line of names; a miss has a confidence of 0, unknowns are empty."""
+    with whole_file(file) as beside, beside.open("w", encoding="utf-8", newline="") as stream:
+        names = list(rows[0].plain()) if rows else []
+        writer = csv.DictWriter(stream, names)
+        writer.writeheader()
+        writer.writerows({k: _rounded(v) for k, v in row.plain().items()} for row in rows)
+
+
+def write_parquet(file: Path, rows: Sequence[Row]) -> bool:
+    """Write rows as Parquet; False, and nothing written, where pyarrow is not installed."""
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ModuleNotFoundError:
+        return False
+    table: Any = pyarrow.Table.from_pylist([row.plain() for row in rows])
+    with whole_file(file) as beside:
+        parquet.write_table(table, beside)
+    return True
+
+
+def _rounded(value: object) -> object:
+    return round(value, 6) if isinstance(value, float) else value

@@ -1,0 +1,520 @@
+"""Two sets of pictures compared as distributions: FID or its like, KID, how sure they are, and what few pictures do."""
+
+import hashlib
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import platformdirs
+from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
+
+from ..datasets.capture import Capture
+from ..safe_io.limits import open_file
+from ..scene.files import whole_file
+from .fid_features import Extractor
+
+LEAST_PICTURES = 4
+"""Fewer of a set tell nothing, and resamples of them are all alike."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenPictures:
+    """Features of a set of pictures, and hashes of their pixels."""
+
+    name: str
+    features: Float32[np.ndarray, "n d"]
+    hashes: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.hashes)
+
+
+# § How far a distance would vary with other pictures: confidence intervals by resampling pictures.
+
+
+class Interval(NamedTuple):
+    """The ends between which a value lies with `CONFIDENCE`."""
+
+    low: float
+    high: float
+
+
+# § KID: the kernel distance of two sets of features, without the bias that the Frechet distance has of few pictures.
+
+Features = Float[np.ndarray, "_ d"]
+
+Advance = Callable[[], None]
+
+
+def frechet_interval(
+    real: Features,
+    fake: Features,
+    resamples: int,
+    seed: int,
+    advance: Advance = lambda: None,
+    value: float | None = None,
+) -> Interval:
+    """Return how far the Frechet distance varies between sets of pictures as large as these.
+
+    Pictures of each set are drawn again with repeats (Efron 1979). Resamples hold fewer different pictures and so their
+    distances are too high, as those of few pictures are; that shift is taken out: the interval is the value plus the
+    quantiles of the resampled distances around their mean. It tells nothing of how far the value itself is too high for
+    want of pictures: `small_samples` does. Of few pictures it is rather too wide (of 32 with 64 features by half); of
+    pictures that are alike, such as neighbouring frames of a drive, too narrow, for it takes them for independent.
+    `advance` is called after each resample. `value` is the distance itself, where it is known.
+    """
+    value = frechet_distance(real, fake) if value is None else value
+    points = rotated(real, fake)
+    distances: list[float] = []
+    for chosen in _drawn(len(real), len(fake), resamples, seed):
+        distances.append(frechet_distance(*points, (_counts(chosen[0], len(real)), _counts(chosen[1], len(fake)))))
+        advance()
+    shifts = np.array(distances) - np.mean(distances)
+    interval = quantiles(shifts)
+    return Interval(max(value + interval.low, 0.0), value + interval.high)
+
+
+def kernel_interval(
+    real: Features, fake: Features, resamples: int, seed: int, shared: Bool[np.ndarray, "_ _"] | None = None
+) -> Interval:
+    """Return how far KID varies between sets of pictures as large as these; nothing is shifted, for it has no bias.
+
+    Pictures are taken for independent, as in `frechet_interval`; `shared` is that of `weighted_distances`.
+    """
+    return kernel_estimate(real, fake, resamples, seed, shared)[1]
+
+
+# § What the Frechet distance is for want of pictures alone: its value where both sets come from one distribution.
+
+
+@dataclass(frozen=True, slots=True)
+class SameDistribution:
+    """Frechet distances of sets of one distribution, as large as those that were compared."""
+
+    mean: float
+    interval: Interval
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DistributionDistance:
+    """How far two sets of pictures are from each other, by one extractor."""
+
+    metric: str
+    """FID, or FD- and a name."""
+    kernel_metric: str
+    """KID, or KD- and a name."""
+    extractor: str
+    features: int
+    real: str
+    fake: str
+    real_pictures: int
+    fake_pictures: int
+    shared_pictures: int
+    """Pictures that are in both sets, pixel by pixel."""
+    frechet: float
+    frechet_interval: Interval
+    kernel: float
+    kernel_interval: Interval
+    same: SameDistribution
+    """What the Frechet distance would be for want of pictures alone."""
+    warnings: tuple[str, ...]
+
+
+# § Features that were worked out before, kept by what is in the picture and what looked at it.
+
+
+class FeatureCache:
+    """A folder with one small file a picture and extractor; it may be removed at any time."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        own = os.environ.get(PLACE)
+        default = platformdirs.user_cache_path("gsrain", appauthor=False) / "features"
+        self._folder = folder or (Path(own) if own else default)
+
+    def features(
+        self, extractor: Extractor, image: UInt8[np.ndarray, "h w 3"], digest: str
+    ) -> Float32[np.ndarray, " d"]:
+        """Return what an extractor says of a picture with that `picture_hash`, from the folder where it is there."""
+        if extractor.key is None:
+            return extractor(image)
+        file = self._folder / extractor.key / digest[:2] / f"{digest}.npy"
+        kept = _read(file, extractor.features)
+        if kept is not None:
+            return kept
+        found = extractor(image)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(file) as beside, beside.open("wb") as opened:
+            np.save(opened, found)
+        return found
+
+
+def seen(
+    name: str,
+    capture: Capture,
+    extractor: Extractor,
+    cache: FeatureCache | None,
+    advance: Callable[[], None] = lambda: None,
+) -> SeenPictures:
+    """Look at all pictures of a capture, which a person knows by `name`; without a cache, anew each time.
+
+    Raises `CaptureError` for a broken picture, and ValueError for too few.
+    """
+    if len(capture) < LEAST_PICTURES:
+        raise ValueError(f"{name}: {len(capture)} pictures; a distribution takes at least {LEAST_PICTURES}")
+    rows: list[Float32[np.ndarray, " d"]] = []
+    hashes: list[str] = []
+    for view in capture:
+        image: UInt8[np.ndarray, "h w 3"] = view.image
+        hashes.append(picture_hash(image))
+        rows.append(extractor(image) if cache is None else cache.features(extractor, image, hashes[-1]))
+        advance()
+    return SeenPictures(name, np.stack(rows), tuple(hashes))
+
+
+def compared(
+    extractor: Extractor,
+    real: SeenPictures,
+    fake: SeenPictures,
+    *,
+    resamples: int = 200,
+    seed: int = 0,
+    advance: Callable[[], None] = lambda: None,
+) -> DistributionDistance:
+    """Compare two sets; the same inputs give the same numbers. `advance` is called 2 `resamples` times."""
+    pairs = _shared(real.hashes, fake.hashes)
+    value = frechet_distance(real.features, fake.features)
+    same = same_distribution(real.features, fake.features, resamples, seed, advance)
+    counts = (len(real), len(fake))
+    kernel, kernel_spread = kernel_estimate(real.features, fake.features, resamples, seed, pairs)
+    told = warning(extractor, value, counts, same)
+    in_both = len(set(real.hashes) & set(fake.hashes))
+    warnings = [] if told is None else [told]
+    if in_both:
+        warnings.append(f"{in_both} pictures are in both sets: they make every distance smaller")
+    for name, each in (("real", real), ("fake", fake)):
+        repeated = len(each) - len(set(each.hashes))
+        if repeated:
+            warnings.append(f"{repeated} of the {len(each)} {name} pictures repeat others of them")
+    return DistributionDistance(
+        metric=extractor.metric,
+        kernel_metric=extractor.kernel_metric,
+        extractor=extractor.described,
+        features=extractor.features,
+        real=real.name,
+        fake=fake.name,
+        real_pictures=counts[0],
+        fake_pictures=counts[1],
+        shared_pictures=in_both,
+        frechet=value,
+        frechet_interval=frechet_interval(real.features, fake.features, resamples, seed, advance, value),
+        kernel=kernel,
+        kernel_interval=kernel_spread,
+        same=same,
+        warnings=tuple(warnings),
+    )
+
+
+def _shared(real: Sequence[str], fake: Sequence[str]) -> Bool[np.ndarray, "n m"] | None:
+    if not set(real) & set(fake):
+        return None
+    return np.array(real)[:, None] == np.array(fake)[None, :]
+
+
+# § The Frechet distance of two sets of features, exact for any number of pictures.
+
+FeatureTable = Float[np.ndarray, "_ _"]
+"""One row a picture."""
+
+FeatureCounts = Int64[np.ndarray, " _"]
+
+_MANY = 256
+"""From so many pictures and features on the faster way pays."""
+
+_TOLERANCE = 5e-7
+
+_ROUNDING = float(np.finfo(np.float64).eps)
+
+
+def frechet_distance(
+    real: FeatureTable, fake: FeatureTable, counts: tuple[FeatureCounts, FeatureCounts] | None = None
+) -> float:
+    """Squared Frechet distance of Gaussians with the means and covariances of two sets of features.
+
+    |m1 - m2|^2 + tr(S1 + S2 - 2 (S1^1/2 S2 S1^1/2)^1/2) (Dowson and Landau 1982; Heusel et al. 2017, eq. 6), with the
+    covariances over n - 1; 0 (equal) to infinity, in squared units of the features. With Inception's features it is
+    FID. Lower is better; of few pictures it is too high (see `small_samples`). `counts` says how often each picture
+    of each set counts (as if it were there so often); without them once.
+
+    In float64 and without the root of a matrix: with A and B the centred features over sqrt(n - 1), the trace of
+    the root is the sum of the singular values of A B^T, whose eigenvalues with their transpose are those of S1 S2. It
+    stays exact where fewer pictures than features leave both covariances singular; scipy's sqrtm then does not.
+    Of many pictures the squares of these values are found instead, several times faster, where that is known to change
+    the distance by less than a millionth of itself.
+    Raises ValueError for fewer than two pictures, other numbers of features, or values that are not finite.
+    """
+    _check(real, fake)
+    told = counts or (np.ones(len(real), np.int64), np.ones(len(fake), np.int64))
+    (first, left), (second, right) = (_moments(each, own) for each, own in zip((real, fake), told, strict=True))
+    between = float(np.sum((first - second) ** 2))
+    spreads = float(np.vdot(left, left) + np.vdot(right, right))
+    if min(len(left), len(right), left.shape[1]) >= _MANY:
+        common, uncertain = nuclear_norm(left, right)
+        distance = between + spreads - 2 * common
+        if 2 * uncertain <= _TOLERANCE * distance:
+            return distance
+    common = float(np.linalg.svd(_small_root(left) @ _small_root(right).T, compute_uv=False).sum())
+    return max(between + spreads - 2 * common, 0.0)
+
+
+def nuclear_norm(left: Float64[np.ndarray, "n d"], right: Float64[np.ndarray, "m d"]) -> tuple[float, float]:
+    """Return the sum of the singular values of left right^T, and how far it may be off.
+
+    They are the roots of the eigenvalues of a symmetric matrix, as small as the least of n, m and d allows. Rounding
+    moves each of these by about 2^-52 times the norms that went in, and so the root of a small one most; roundings are
+    taken for independent of each other. Of covariances that fall off steeply the true error is smaller by far.
+    """
+    n, m, d = len(left), len(right), left.shape[1]
+    if d < min(n, m):
+        gram = left.T @ left
+        try:
+            root = np.linalg.cholesky(gram)
+        except np.linalg.LinAlgError:  # singular: the roots of nothing are not known well enough
+            return 0.0, np.inf
+        other = right.T @ right
+        squared, size = root.T @ other @ root, float(np.linalg.norm(gram) * np.linalg.norm(other))
+    else:
+        product = left @ right.T
+        squared = product @ product.T if n <= m else product.T @ product
+        size = float(np.linalg.norm(squared))
+    values = np.maximum(np.linalg.eigvalsh(squared), 0.0)
+    rounding = _ROUNDING * size
+    roots = np.sqrt(values)
+    uncertain = np.minimum(rounding / np.maximum(2 * roots, 1e-300), np.sqrt(rounding))
+    return float(roots.sum()), float(np.linalg.norm(uncertain))
+
+
+def rotated(real: FeatureTable, fake: FeatureTable) -> tuple[Float64[np.ndarray, "n r"], Float64[np.ndarray, "m r"]]:
+    """Return the same points in fewer coordinates, which no distance notices: at most one a picture, not one a feature.
+
+    What resamples pictures many times starts from here.
+    """
+    points = np.concatenate((real, fake)).astype(np.float64)
+    points -= points.mean(axis=0)
+    if len(points) < points.shape[1]:
+        points = np.ascontiguousarray(np.asarray(np.linalg.qr(points.T, mode="r")).T)
+    return points[: len(real)], points[len(real) :]
+
+
+def _moments(
+    features: FeatureTable, counts: FeatureCounts
+) -> tuple[Float64[np.ndarray, " d"], Float64[np.ndarray, "k d"]]:
+    """Mean, and a root of the covariance: the centred rows of those that count at all, weighted."""
+    counted = np.flatnonzero(counts)
+    rows = features[counted].astype(np.float64)
+    if (counts == 1).all():
+        mean = rows.mean(axis=0)
+        rows -= mean
+        return mean, rows / np.sqrt(len(rows) - 1)
+    weights, total = counts[counted].astype(np.float64), int(counts.sum())
+    mean = weights @ rows / total
+    rows -= mean
+    rows *= np.sqrt(weights / (total - 1))[:, None]
+    return mean, rows
+
+
+def _small_root(root: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "_ d"]:
+    """Of more pictures than features, as many rows as features with the same covariance."""
+    if len(root) <= root.shape[1]:
+        return root
+    return np.asarray(np.linalg.qr(root, mode="r"))
+
+
+def _check(real: FeatureTable, fake: FeatureTable) -> None:
+    for name, each in (("real", real), ("fake", fake)):
+        if len(each) < 2:
+            raise ValueError(f"{len(each)} {name} pictures: a covariance takes at least two")
+        if not np.isfinite(each).all():
+            raise ValueError(f"the features of the {name} pictures are not all finite")
+    if real.shape[1] != fake.shape[1]:
+        raise ValueError(f"features of {real.shape[1]} and {fake.shape[1]} numbers can't be compared")
+
+
+_BLOCK_ROWS = 512
+
+
+def weighted_distances(
+    real: Features,
+    fake: Features,
+    real_weights: Float64[np.ndarray, "_ k"],
+    fake_weights: Float64[np.ndarray, "_ k"],
+    shared: Bool[np.ndarray, "_ _"] | None = None,
+) -> Float64[np.ndarray, " k"]:
+    """Unbiased squared maximum mean discrepancies of two sets of features, with the kernel (x.y / d + 1)^3.
+
+    Pictures count as often as each column of weights says. Binkowski et al. 2018 ("Demystifying MMD GANs", sec. 4);
+    without a unit; the expectation is 0 for sets of one distribution at any number of pictures, and above 0 for others;
+    single values may lie below 0. Lower is better. A picture is never paired with itself, however often it counts.
+
+    `shared` marks pairs (real, fake) that are one and the same picture: they count no more than a picture with itself
+    does within a set. Raises ValueError for fewer than two pictures.
+    """
+    if min(len(real), len(fake)) < 2:
+        raise ValueError(f"{len(real)} real and {len(fake)} fake pictures: KID takes at least two of each")
+    within = _within(real, real_weights) + _within(fake, fake_weights)
+    return within - 2 * _across(real, fake, real_weights, fake_weights, shared)
+
+
+def _kernel(rows: Float64[np.ndarray, "_ d"], columns: Float64[np.ndarray, "_ d"]) -> Float64[np.ndarray, "_ _"]:
+    near = rows @ columns.T
+    near /= rows.shape[1]
+    near += 1
+    cubed = near * near
+    cubed *= near
+    return cubed
+
+
+def _within(features: Features, weights: Float64[np.ndarray, "_ k"]) -> Float64[np.ndarray, " k"]:
+    """Mean over pairs of one set: those below the diagonal twice, those with themselves not at all."""
+    total = np.zeros(weights.shape[1])
+    points = features.astype(np.float64)
+    for start in range(0, len(points), _BLOCK_ROWS):
+        block = slice(start, start + _BLOCK_ROWS)
+        kernel = _kernel(points[block], points[: start + _BLOCK_ROWS])
+        at = np.arange(len(kernel))
+        kernel[at, start + at] = 0
+        kernel[:, :start] *= 2
+        total += np.sum((kernel @ weights[: start + _BLOCK_ROWS]) * weights[block], axis=0)
+    return _mean(total, np.sum(weights, axis=0) ** 2 - np.sum(weights**2, axis=0))
+
+
+def _across(
+    real: Features,
+    fake: Features,
+    real_weights: Float64[np.ndarray, "_ k"],
+    fake_weights: Float64[np.ndarray, "_ k"],
+    shared: Bool[np.ndarray, "_ _"] | None,
+) -> Float64[np.ndarray, " k"]:
+    total = np.zeros(real_weights.shape[1])
+    pairs = np.sum(real_weights, axis=0) * np.sum(fake_weights, axis=0)
+    first, second = real.astype(np.float64), fake.astype(np.float64)
+    for start in range(0, len(first), _BLOCK_ROWS):
+        block = slice(start, start + _BLOCK_ROWS)
+        kernel = _kernel(first[block], second)
+        if shared is not None:
+            kernel[shared[block]] = 0
+            pairs = pairs - np.sum((shared[block] @ fake_weights) * real_weights[block], axis=0)
+        total += np.sum((kernel @ fake_weights) * real_weights[block], axis=0)
+    return _mean(total, pairs)
+
+
+def _mean(total: Float64[np.ndarray, " k"], pairs: Float64[np.ndarray, " k"]) -> Float64[np.ndarray, " k"]:
+    return np.divide(total, pairs, out=np.full_like(total, np.nan), where=pairs > 0)
+
+
+CONFIDENCE = 0.95
+
+
+def kernel_estimate(
+    real: Features, fake: Features, resamples: int, seed: int, shared: Bool[np.ndarray, "_ _"] | None = None
+) -> tuple[float, Interval]:
+    """Return KID with its `kernel_interval`; kernels are made once for both."""
+    weights = [np.ones((len(each), 1 + resamples)) for each in (real, fake)]
+    for k, chosen in enumerate(_drawn(len(real), len(fake), resamples, seed)):
+        for own, drawn in zip(weights, chosen, strict=True):
+            own[:, 1 + k] = _counts(drawn, len(own))
+    values = weighted_distances(real, fake, weights[0], weights[1], shared)
+    return float(values[0]), quantiles(values[1:])
+
+
+def quantiles(values: Float64[np.ndarray, " n"]) -> Interval:
+    """Return the ends of the middle `CONFIDENCE` of some values."""
+    outside = (1 - CONFIDENCE) / 2
+    low, high = np.nanquantile(values, (outside, 1 - outside))
+    return Interval(float(low), float(high))
+
+
+def _counts(drawn: Int64[np.ndarray, " n"], pictures: int) -> Int64[np.ndarray, " _"]:
+    return np.bincount(drawn, minlength=pictures)
+
+
+def _drawn(
+    real: int, fake: int, resamples: int, seed: int
+) -> Iterator[tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " m"]]]:
+    """Yield numbers of pictures, with repeats; at least two different ones of each set, as every distance needs."""
+    random = np.random.default_rng(seed)
+    for _ in range(resamples):
+        yield _some(random, real), _some(random, fake)
+
+
+def _some(random: np.random.Generator, count: int) -> Int64[np.ndarray, " n"]:
+    while True:
+        drawn = random.integers(0, count, count)
+        if (drawn != drawn[0]).any():
+            return drawn
+
+
+NOTABLE_SHARE = 0.1
+"""From this share of a distance on, what it owes to few pictures is worth a warning."""
+
+
+def same_distribution(
+    real: Features, fake: Features, splits: int, seed: int, advance: Advance = lambda: None
+) -> SameDistribution:
+    """Estimate the Frechet distance that two sets of one distribution would have at these numbers of pictures.
+
+    The mean of each set is taken out (and what that takes off its spread put back), all pictures are mixed, dealt out
+    at random into sets of the same sizes, and compared. Of N pictures with d features it is about as large as the
+    spread of the features itself until N is many times d: at N = 32 FID is mostly this. It is exact where both sets
+    have one covariance, else that of their mixture. `advance` is called after each split.
+    """
+    random = np.random.default_rng(seed)
+    points = np.concatenate([_centred(each) for each in rotated(real, fake)])
+    distances: list[float] = []
+    for _ in range(splits):
+        mixed = points[random.permutation(len(points))]
+        distances.append(frechet_distance(mixed[: len(real)], mixed[len(real) :]))
+        advance()
+    values = np.array(distances)
+    return SameDistribution(float(values.mean()), quantiles(values))
+
+
+def warning(extractor: Extractor, value: float, counts: tuple[int, int], same: SameDistribution) -> str | None:
+    """Return one sentence where the number of pictures says more than the pictures do; None where it does not."""
+    if same.mean < NOTABLE_SHARE * value:
+        return None
+    said = (
+        f"for want of pictures ({counts[0]} and {counts[1]} for {extractor.features} features) the "
+        f"{extractor.metric} of two such sets of one distribution would be about {same.mean:.4g} "
+        f"({same.interval.low:.4g} to {same.interval.high:.4g}): "
+    )
+    if value <= same.interval.high:
+        return f"{said}{value:.4g} tells no difference"
+    return f"{said}compare {value:.4g} only with values of as many pictures, or take {extractor.kernel_metric}"
+
+
+def _centred(points: Float64[np.ndarray, "n r"]) -> Float64[np.ndarray, "n r"]:
+    return (points - points.mean(axis=0)) * np.sqrt(len(points) / (len(points) - 1))
+
+
+PLACE = "GSRAIN_FEATURE_CACHE"
+"""Environment variable with the folder in which features are kept."""
+
+
+def picture_hash(image: UInt8[np.ndarray, "h w 3"]) -> str:
+    """Return a hash of the pixels (SHA-256): the same for the same picture under any name and in any lossless file."""
+    found = hashlib.sha256(np.array(image.shape, np.int64).tobytes())
+    found.update(image.tobytes())
+    return found.hexdigest()
+
+
+def _read(file: Path, features: int) -> Float32[np.ndarray, " d"] | None:
+    """Read kept features; None where there are none, or the file is damaged."""
+    try:
+        with open_file(file) as stream:
+            kept = np.load(stream, allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        return None
+    return kept if kept.shape == (features,) and kept.dtype == np.float32 else None

@@ -1,0 +1,194 @@
+"""The affine map of colour between two pictures of the same thing."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+
+_PULL = 1e-3
+"""Tikhonov pull towards no change, in squared colour a pixel: what a picture without contrast can't tell."""
+
+
+def fitted_affine(
+    rendered: Float[np.ndarray, "h w 3"], truth: Float[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"]
+) -> Float64[np.ndarray, "3 4"]:
+    """Map of colour that takes rendered pixels nearest to true ones, by least squares; no change without pixels."""
+    identity = np.eye(3, 4)
+    there = rendered[mask].astype(np.float64)
+    basis = np.concatenate([there, np.ones((len(there), 1))], axis=1)
+    normal = basis.T @ basis + _PULL * len(there) * np.eye(4)
+    wanted = basis.T @ (truth[mask].astype(np.float64) - there)
+    return identity + np.linalg.solve(normal, wanted).T if len(there) else identity
+
+
+def with_affine(picture: Float[np.ndarray, "h w 3"], affine: Float64[np.ndarray, "3 4"]) -> Float[np.ndarray, "h w 3"]:
+    """Map a picture's display colours; the result is cut to 0..1."""
+    return np.clip(picture @ affine[:, :3].T + affine[:, 3], 0, 1).astype(picture.dtype)
+
+
+# § How close a picture is to another: PSNR and SSIM of float images, with masks.
+
+WINDOW_PX = 11
+
+WINDOW_SIGMA_PX = 1.5
+
+C1, C2 = 0.01**2, 0.03**2
+"""Window and constants of Wang et al. 2004, for values of 0..1."""
+
+HALF_WINDOW_PX = WINDOW_PX // 2
+
+LEAST_WEIGHT = 1e-8
+"""Where the mask leaves less of a window than this there is nothing to compare."""
+
+_BAND_ROWS = 32
+"""SSIM goes down the picture in bands of so many rows, whose intermediate results stay in the processor's cache."""
+
+Image = Float[np.ndarray, "h w 3"]
+
+Mask = Bool[np.ndarray, "h w"]
+
+
+def window() -> Float64[np.ndarray, " k"]:
+    """Return the taps of SSIM's Gaussian window along one axis; they add up to 1."""
+    offsets = np.arange(WINDOW_PX) - HALF_WINDOW_PX
+    taps = np.exp(-0.5 * (offsets / WINDOW_SIGMA_PX) ** 2)
+    return taps / taps.sum()
+
+
+def check_pair(first: tuple[int, ...], second: tuple[int, ...], mask: tuple[int, ...] | None) -> None:
+    """Raise ValueError for shapes of images and mask that can't be compared."""
+    if first != second or len(first) != 3:
+        raise ValueError(f"pictures of one size are compared, not {_size(first)} with {_size(second)}")
+    if mask is not None and mask != first[:2]:
+        raise ValueError(f"the mask is {_size(mask)}, the pictures are {_size(first)}")
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    """Width and height as people write them, and how many channels where they are not three."""
+    if len(shape) < 2:
+        return f"a row of {shape[0]}" if shape else "a number"
+    channels = "" if shape[2:] in ((), (3,)) else f" with {shape[2]} channels"
+    return f"{shape[1]}x{shape[0]} px{channels}"
+
+
+def psnr(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
+    """Peak signal-to-noise ratio, 10 log10(1 / mean squared difference) in dB, of values of 0..1.
+
+    From 0 (black against white) to infinity (equal); higher is better. Over the pixels of the mask and all channels.
+    Raises ValueError for other shapes and for a mask without a pixel.
+    """
+    check_pair(rendered.shape, truth.shape, None if mask is None else mask.shape)
+    squares = (rendered.astype(np.float64) - truth) ** 2
+    chosen = squares if mask is None else squares[mask]
+    if chosen.size == 0:
+        raise ValueError("the mask leaves no pixel to compare")
+    mean = float(chosen.mean())
+    return float("inf") if mean == 0 else -10 * float(np.log10(mean))
+
+
+def ssim(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
+    """Structural similarity of values of 0..1: the mean of `ssim_map` over its pixels, those of the mask.
+
+    Wang et al. 2004, eq. 13; without a unit, from -1 to 1 (equal); higher is better.
+    """
+    similarity = ssim_map(rendered, truth, mask)
+    if mask is None:
+        return float(similarity.mean())
+    inside = _valid(mask)
+    if not inside.any():
+        raise ValueError("the mask leaves no pixel to compare")
+    return float(similarity[inside].mean())
+
+
+def ssim_map(rendered: Image, truth: Image, mask: Mask | None = None) -> Float64[np.ndarray, "hv wv 3"]:
+    """Structural similarity around each pixel (Wang et al. 2004, eq. 13), of each channel by itself.
+
+    Windows that would reach over the edge are left out, as in the paper: the map is 10 px smaller than the picture.
+    Pixels outside the mask have no weight in any window. Raises ValueError for other shapes and for pictures smaller
+    than the window.
+    """
+    check_pair(rendered.shape, truth.shape, None if mask is None else mask.shape)
+    if min(rendered.shape[:2]) < WINDOW_PX:
+        raise ValueError(f"SSIM takes pictures of at least {WINDOW_PX} px a side, not {_size(rendered.shape)}")
+    tops = range(0, len(rendered) - 2 * HALF_WINDOW_PX, _BAND_ROWS)
+    bands = [slice(top, top + _BAND_ROWS + 2 * HALF_WINDOW_PX) for top in tops]
+    return np.concatenate([_similarity(rendered[b], truth[b], None if mask is None else mask[b]) for b in bands])
+
+
+def _similarity(rendered: Image, truth: Image, mask: Mask | None) -> Float64[np.ndarray, "hv wv 3"]:
+    x, y = rendered.astype(np.float64), truth.astype(np.float64)
+    weights = None if mask is None else mask.astype(np.float64)[..., None]
+
+    def mean(values: Float64[np.ndarray, "h w 3"]) -> Float64[np.ndarray, "hv wv 3"]:
+        if weights is None:
+            return _blurred(values)
+        return _blurred(values * weights) / np.maximum(_blurred(weights), LEAST_WEIGHT)
+
+    mean_x, mean_y = mean(x), mean(y)
+    variance_x, variance_y = mean(x * x) - mean_x**2, mean(y * y) - mean_y**2
+    covariance = mean(x * y) - mean_x * mean_y
+    likeness = (2 * mean_x * mean_y + C1) * (2 * covariance + C2)
+    return likeness / ((mean_x**2 + mean_y**2 + C1) * (variance_x + variance_y + C2))
+
+
+def _blurred(values: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "hv wv c"]:
+    taps = window()
+    whole = cv2.sepFilter2D(values, -1, taps, taps, borderType=cv2.BORDER_CONSTANT)
+    return _valid(whole.reshape(values.shape))  # OpenCV drops the axis of a single channel
+
+
+def _valid(values: np.ndarray) -> np.ndarray:
+    return values[HALF_WINDOW_PX:-HALF_WINDOW_PX, HALF_WINDOW_PX:-HALF_WINDOW_PX]
+
+
+# § The mean of a measure over pictures, and how far it would vary with other pictures.
+
+CONFIDENCE = 0.95
+
+_RESAMPLES = 2000
+
+
+class MeanInterval(NamedTuple):
+    """A mean, and the ends between which means of as many such pictures lie with `CONFIDENCE`."""
+
+    mean: float
+    low: float
+    high: float
+
+
+def mean_interval(values: Sequence[float], seed: int = 0) -> MeanInterval:
+    """Return the mean and its percentile bootstrap (Efron 1979), in the unit of the values.
+
+    The same values and seed give the same ends. Values that are infinite, as the PSNR of equal pictures, stay so in the
+    mean. Neighbouring frames of one drive are more alike than pictures drawn at random: of these it is too narrow.
+    Raises ValueError without a value.
+    """
+    if not values:
+        raise ValueError("a mean takes at least one value")
+    array = np.array(values, np.float64)
+    drawn = np.random.default_rng(seed).integers(0, len(array), (_RESAMPLES, len(array)))
+    means = array[drawn].mean(axis=1)
+    outside = (1 - CONFIDENCE) / 2
+    low, high = np.quantile(means, (outside, 1 - outside), method="inverted_cdf")  # picks: infinity has no middle
+    return MeanInterval(float(array.mean()), float(low), float(high))
+
+
+# § How far a share that was counted, such as collisions of runs, may be from the true one.
+
+_Z95 = 1.959963984540054
+"""Of the normal law: 95 % lie within so many standard deviations."""
+
+
+def share_interval(hits: int, of: int) -> tuple[float, float]:
+    """Return the ends of the 95 % confidence interval of hits / of (Wilson 1927); 0..1 where nothing was counted.
+
+    Holds for independent trials; it is right for few of them, and for none or all that hit.
+    """
+    if not of:
+        return 0.0, 1.0
+    z2 = _Z95**2
+    middle = (hits + z2 / 2) / (of + z2)
+    half = _Z95 / (of + z2) * (hits * (of - hits) / of + z2 / 4) ** 0.5
+    return max(0.0, middle - half), min(1.0, middle + half)

@@ -1,0 +1,220 @@
+"""How strongly drops echo, and how many of them a beam meets that are detected."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Float64, Int64
+from scipy.spatial import KDTree
+from scipy.stats import poisson
+
+from ...rain.properties import CLASSES, RainState
+from ...rain.settings import Box
+from ...rain.streaks import StreakField
+from .sensor import Beams, LidarSensor
+
+_STEP_M = 0.01
+
+
+class DropEchoes(NamedTuple):
+    """Drops that a sensor detects, each in one of its beams."""
+
+    beams: Int64[np.ndarray, " m"]
+    """Index of the beam."""
+    ranges_m: Float64[np.ndarray, " m"]
+    reflectances: Float64[np.ndarray, " m"]
+    """Of something that fills the beam and sends back as much."""
+
+    @staticmethod
+    def joined(*parts: "DropEchoes") -> "DropEchoes":
+        return DropEchoes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class DropSignals:
+    """Echoes of one rain's drops in one sensor's beams.
+
+    A drop whose centre is in a beam of the width w takes (D / w)^2 of it and sends `drop_reflectance` of that back.
+    Drops count one by one: that two within a pulse are strong enough only together is left out.
+    """
+
+    sensor: LidarSensor
+    state: RainState
+
+    @cached_property
+    def _strengths_mm2(self) -> Float64[np.ndarray, " classes"]:
+        """Rises with the class: what a larger drop's back loses by absorption is less than what its size adds."""
+        diameters = self.state.sizes.class_diameters_mm
+        return diameters**2 * drop_reflectance(diameters, self.sensor.wavelength_nm)
+
+    def reflectances(
+        self, ranges_m: Float64[np.ndarray, " m"], classes: Int64[np.ndarray, " m"]
+    ) -> Float64[np.ndarray, " m"]:
+        """Reflectance of something that fills the beam and sends back as much as a drop of a class."""
+        return 1e-6 * self._strengths_mm2[classes] / self.sensor.beam_width_m(ranges_m) ** 2
+
+    def first_detected(self, ranges_m: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+        """Smallest class that is detected at a range; `CLASSES` where none is."""
+        clear = np.exp(2 * self.state.extinction_per_m * ranges_m)
+        with np.errstate(over="ignore"):
+            needed = 1e6 * self.sensor.detectable(ranges_m) * clear * self.sensor.beam_width_m(ranges_m) ** 2
+        return np.searchsorted(self._strengths_mm2, needed)
+
+    @cached_property
+    def reach_m(self) -> float:
+        """Beyond this no drop is detected."""
+        ranges = np.arange(0, min(self.sensor.range_m, self.sensor.farthest_m) + _STEP_M, _STEP_M)
+        seen = np.flatnonzero(self.first_detected(ranges) < CLASSES)
+        return float(ranges[seen[-1]]) + _STEP_M if len(seen) else 0.0
+
+    @cached_property
+    def grid_m(self) -> Float64[np.ndarray, " k"]:
+        """Ranges up to the reach, evenly."""
+        return np.linspace(0, self.reach_m, max(round(self.reach_m / _STEP_M), 1) + 1)
+
+    @cached_property
+    def expected(self) -> Float64[np.ndarray, " k"]:
+        """Mean number of detected drops in a beam up to each range of the grid.
+
+        The integral of N pi/4 w(r)^2 P(D is detected at r) over r. 0 without rain.
+        """
+        shares = 1 - self.first_detected(self.grid_m) / CLASSES
+        per_m = self.state.density_m3 * np.pi / 4 * self.sensor.beam_width_m(self.grid_m) ** 2 * shares
+        steps = np.diff(self.grid_m) * (per_m[1:] + per_m[:-1]) / 2
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    def expected_up_to(self, ranges_m: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+        """Mean number of detected drops in a beam up to a range."""
+        return np.interp(ranges_m, self.grid_m, self.expected)
+
+
+# § Echoes of drops outside the simulated field: as many, as far and as large as the spectrum says.
+
+_MOST = 4
+"""Drops of one beam that are drawn: there are seldom two."""
+
+_Span = tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]
+
+
+def far_echoes(
+    beams: Beams, listened_m: Float64[np.ndarray, " n"], simulated: _Span, signals: DropSignals, seed: int
+) -> DropEchoes:
+    """Draw detected drops along each beam up to `listened_m`, but for the `simulated` span, from where to where (m).
+
+    Numbers are Poisson of the integral of the detected spectrum over the beam's volume, ranges are spread as it grows,
+    sizes are those of the detected part of the spectrum at that range. The same seed draws the same numbers at all
+    intensities, so that more rain only adds.
+    """
+    draws = np.random.default_rng(seed).random((len(beams), 1 + 2 * _MOST))
+    start, end = (np.minimum(each, listened_m) for each in simulated)
+    left_out = signals.expected_up_to(start), signals.expected_up_to(end)
+    mean = signals.expected_up_to(listened_m) - (left_out[1] - left_out[0])
+    counts = np.minimum(poisson.ppf(draws[:, 0], np.maximum(mean, 0)), _MOST).astype(np.int64)
+    beam = np.repeat(np.arange(len(beams)), counts)
+    turn = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts, counts)
+    place, size = draws[beam, 1 + 2 * turn], draws[beam, 2 + 2 * turn]
+    wanted = place * mean[beam]
+    wanted += np.where(wanted > left_out[0][beam], (left_out[1] - left_out[0])[beam], 0)
+    ranges = np.interp(wanted, signals.expected, signals.grid_m)
+    smallest = np.minimum(signals.first_detected(ranges), CLASSES - 1)
+    classes = smallest + np.floor(size * (CLASSES - smallest)).astype(np.int64)
+    return DropEchoes(beam, ranges, signals.reflectances(ranges, classes))
+
+
+def span_in_box(beams: Beams, box: Box, frame: Float64[np.ndarray, "4 4"]) -> _Span:
+    """From where to where each beam is in a box of a frame, in metres; 0 and 0 where it misses it."""
+    turn = frame[:3, :3]
+    origin, directions = turn.T @ (beams.origin_m - frame[:3, 3]), beams.directions @ turn
+    directions = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
+    faces = np.stack([(np.array(face) - origin) / directions for face in (box.minimum_m, box.maximum_m)])
+    enter, leave = faces.min(axis=0).max(axis=1), faces.max(axis=0).min(axis=1)
+    met = leave > np.maximum(enter, 0)
+    return np.where(met, np.maximum(enter, 0), 0), np.where(met, leave, 0)
+
+
+# § Echoes of the very drops that the cameras see: those of the simulated field around the car.
+
+
+def field_echoes(
+    field: StreakField, beams: Beams, listened_m: Float64[np.ndarray, " n"], signals: DropSignals
+) -> DropEchoes:
+    """Find the drops of the field that stand in beams at one moment and are detected, each nearer than `listened_m`.
+
+    A drop is in every beam whose axis passes its centre within half the beam's width.
+    """
+    drops = field.region_drops()
+    away = field.positions(drops) - beams.origin_m
+    ranges = np.linalg.norm(away, axis=1)
+    seen = np.flatnonzero(drops.class_index >= signals.first_detected(ranges))
+    listening = np.flatnonzero(listened_m > 0)
+    if not len(seen) or not len(listening):
+        return DropEchoes(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+    ranges, directions = ranges[seen], away[seen] / ranges[seen, None]
+    half_angles = np.arcsin(np.minimum(signals.sensor.beam_width_m(ranges) / 2 / ranges, 1))
+    tree = KDTree(beams.directions[listening])
+    met = tree.query_ball_point(directions, 2 * np.sin(half_angles / 2), return_sorted=True)
+    counts = np.array([len(each) for each in met])
+    drop = np.repeat(np.arange(len(seen)), counts)
+    beam = listening[np.fromiter((index for each in met for index in each), np.int64, int(counts.sum()))]
+    nearer = ranges[drop] < listened_m[beam]
+    drop, beam = drop[nearer], beam[nearer]
+    return DropEchoes(beam, ranges[drop], signals.reflectances(ranges[drop], drops.class_index[seen[drop]]))
+
+
+# § Water in near infrared: what a drop sends straight back, and what a film of it takes from a wet road.
+
+REFRACTIVE_INDEX = {905: 1.327, 1550: 1.318}
+"""Of water, at wavelengths in nm (Hale and Querry 1973, Applied Optics 12)."""
+
+ABSORPTION_PER_MM = {905: 0.007, 1550: 1.09}
+"""Of water: 4 pi k / wavelength with k = 5.0e-7 and 1.35e-4 (Hale and Querry 1973; Kou, Labrie and Chylek 1993)."""
+
+_MIRRORED_INSIDE = 0.472
+"""Share of diffuse light under a flat water surface that is mirrored back down, n = 1.33 (Saunderson 1942)."""
+
+
+def drop_reflectance(diameter_mm: Float[np.ndarray, "*n"], wavelength_nm: int) -> Float64[np.ndarray, "*n"]:
+    """Reflectance of a matt disc with a drop's shadow that would send back as much: 0.005..0.025.
+
+    Geometric optics of a sphere, axial rays: those that its front mirrors, F / 4, and those that its back mirrors,
+    (1 - F)^2 F (n / (2 - n))^2 / 4, weakened by the water that they pass twice; F = ((n - 1) / (n + 1))^2. A disc of
+    reflectance rho has the radar cross-section 4 rho A, a sphere's mirrored front F A (van de Hulst 1957, chapter 12).
+    At 1550 nm water is so dark that drops above a millimetre keep the front's alone. The glory is left out: large
+    drops are too flat and too restless for it.
+    """
+    n = REFRACTIVE_INDEX[wavelength_nm]
+    front = ((n - 1) / (n + 1)) ** 2
+    back = (1 - front) ** 2 * front * (n / (2 - n)) ** 2
+    passed = np.exp(-2 * ABSORPTION_PER_MM[wavelength_nm] * np.asarray(diameter_mm, np.float64))
+    return (front + back * passed) / 4
+
+
+def fresnel_reflectance(cosine: Float[np.ndarray, "*n"], index: float) -> Float64[np.ndarray, "*n"]:
+    """Share of unpolarized light that a flat surface of water mirrors, by the cosine of incidence; 0..1 (Fresnel)."""
+    inside = np.sqrt(1 - (1 - np.asarray(cosine, np.float64) ** 2) / index**2)
+    across = ((cosine - index * inside) / (cosine + index * inside)) ** 2
+    along = ((inside - index * cosine) / (inside + index * cosine)) ** 2
+    return (across + along) / 2
+
+
+def wet_road_share(
+    cosine: Float[np.ndarray, "*n"],
+    reflectance: Float[np.ndarray, "*n"],
+    wetness: float,
+    film_mm: float,
+    wavelength_nm: int,
+) -> Float64[np.ndarray, "*n"]:
+    """Share of a dry road's echo that is left when it is wet, 0..1.
+
+    Where water stands, a beam crosses its surface twice, (1 - F)^2, spreads on leaving it, 1 / n^2, and is partly
+    mirrored back onto the road, 1 / (1 - 0.472 rho): a matt ground under a flat film (Saunderson 1942, Lekner and Dorf
+    1988). The film absorbs on the slanted way down and up. What it mirrors goes on ahead and never comes back, which is
+    why far, grazing returns vanish first. `cosine` of incidence, `reflectance` of the dry road; `wetness` is the share
+    of it that is covered.
+    """
+    n = REFRACTIVE_INDEX[wavelength_nm]
+    slant = np.sqrt(1 - (1 - np.asarray(cosine, np.float64) ** 2) / n**2)
+    passed = np.exp(-2 * ABSORPTION_PER_MM[wavelength_nm] * film_mm / slant)
+    under_film = (1 - fresnel_reflectance(cosine, n)) ** 2 * passed / (n**2 * (1 - _MIRRORED_INSIDE * reflectance))
+    return 1 - wetness + wetness * under_film

@@ -1,0 +1,309 @@
+"""Turns of a lidar under several intensities and seeds: the same drops' numbers at every intensity of a seed."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+
+from ...rain.properties import RainState
+from ...rain.settings import Rain
+from ...rain.simulation import Rainfall
+from ...scene.files import whole_file
+from ..plot_styles import Color, shades
+from .rain_echoes import DropSignals
+from .scan import Answer, Fate, SweepInRain, Turn, sweep_in_rain
+from .sensor import Beams
+
+NEAR_STEP_M = 0.5
+"""Width of the bins in which drops near the sensor are counted."""
+
+_NEAR_M = 2.0
+
+_JUST = 1 + 1e-6
+
+# § What a turn of a lidar lost in rain, and what it made up, by distance.
+
+RANGE_EDGES_M = (0.0, 2.0, 5.0, 10.0, 20.0, 30.0, 50.0, 80.0, 120.0, np.inf)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tally:
+    """Counts of returns in each bin of range; ranges are those in clear air, of false returns their own."""
+
+    edges_m: Float64[np.ndarray, " k_and_one"]
+    clear: Int64[np.ndarray, " k"]
+    """Returns in clear air, less those that rain leaves alone."""
+    kept: Int64[np.ndarray, " k"]
+    dropped: Int64[np.ndarray, " k"]
+    """Too weak in rain."""
+    masked: Int64[np.ndarray, " k"]
+    """A drop answered in their place."""
+    false: Int64[np.ndarray, " k"]
+    """Drops."""
+    range_rmse_m: float
+    """Root mean square of what rain adds to the ranges of kept returns; NaN without any."""
+    untouched: int
+    """Returns that rain leaves alone."""
+
+    @classmethod
+    def of(cls, beams: Beams, rainy: SweepInRain, edges_m: tuple[float, ...] = RANGE_EDGES_M) -> "Tally":
+        edges = np.array(edges_m)
+
+        def count(fate: Fate) -> Int64[np.ndarray, " k"]:
+            return _binned(beams.ranges_m[(rainy.fates == fate) & beams.is_echo], edges)
+
+        kept, dropped, masked = (count(fate) for fate in (Fate.KEPT, Fate.DROPPED, Fate.MASKED))
+        true = ~rainy.is_false & ~beams.untouched[rainy.beams]
+        away = rainy.sweep.points_m[true].astype(np.float64) - beams.origin_m
+        added = np.linalg.norm(away, axis=1) - beams.ranges_m[rainy.beams[true]]
+        return cls(
+            edges_m=edges,
+            clear=kept + dropped + masked,
+            kept=kept,
+            dropped=dropped,
+            masked=masked,
+            false=_binned(rainy.false_ranges_m, edges),
+            range_rmse_m=float(np.sqrt(np.mean(added**2))) if len(added) else float("nan"),
+            untouched=int(beams.untouched.sum()),
+        )
+
+    def kept_share(self) -> Float64[np.ndarray, " k"]:
+        """Share of the clear returns that are kept, 0..1; NaN where there were none."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(self.clear > 0, self.kept / self.clear, np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunCounts:
+    """What came of one turn in one rain, without the points."""
+
+    turn: str
+    """Its name."""
+    range_m: float
+    """Of the sensor, at 10 %."""
+    state: RainState
+    seed: int
+    wetness: float
+    """Of the road; 0 where that is left out."""
+    at_threshold: int
+    """Clear returns of which no more is known than that they were detected: any rain loses them."""
+    tally: Tally
+    near: Tally
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """One turn in one rain."""
+
+    turn: Turn
+    state: RainState
+    seed: int
+    wetness: float
+    rainy: SweepInRain
+    tally: Tally
+    near: Tally
+    """In fine bins, as far as drops are detected."""
+
+    @property
+    def without_points(self) -> "RunCounts":
+        """What is worth keeping of many runs."""
+        sensor, beams = self.turn.sensor, self.turn.beams
+        signals = sensor.signal(beams.ranges_m[beams.is_echo], beams.reflectances[beams.is_echo], 0.0)
+        return RunCounts(
+            turn=self.turn.name,
+            range_m=sensor.range_m,
+            state=self.state,
+            seed=self.seed,
+            wetness=self.wetness,
+            at_threshold=int(np.sum(signals < _JUST)),
+            tally=self.tally,
+            near=self.near,
+        )
+
+
+def runs(
+    turn: Turn, intensities_mm_h: Sequence[float], seeds: Sequence[int], *, answer: Answer, wet_road: bool
+) -> Iterator[Run]:
+    """Rain on a turn: all seeds of the first intensity, then of the next."""
+    rains = [Rain(intensity_mm_h=intensity) for intensity in intensities_mm_h]
+    reach = max(DropSignals(turn.sensor, Rainfall.start(rain).state).reach_m for rain in rains)
+    edges = near_edges(reach)
+    for intensity in intensities_mm_h:
+        for seed in seeds:
+            rainfall = Rainfall.start(Rain(intensity_mm_h=intensity, seed=seed))
+            rainy = sweep_in_rain(
+                turn.beams, turn.sensor, rainfall, turn.anchor_to_world, answer=answer, wet_road=wet_road
+            )
+            yield Run(
+                turn=turn,
+                state=rainfall.state,
+                seed=seed,
+                wetness=rainfall.wetness_at(turn.beams.time_s) if wet_road else 0.0,
+                rainy=rainy,
+                tally=Tally.of(turn.beams, rainy),
+                near=Tally.of(turn.beams, rainy, edges),
+            )
+
+
+def near_edges(reach_m: float) -> tuple[float, ...]:
+    """Edges of fine bins up to a range, 2 m at least."""
+    return tuple(float(NEAR_STEP_M * k) for k in range(int(np.ceil(max(reach_m, _NEAR_M) / NEAR_STEP_M)) + 1))
+
+
+def _binned(
+    ranges_m: Float64[np.ndarray, " n"], edges_m: Float64[np.ndarray, " k"]
+) -> Int64[np.ndarray, " k_less_one"]:
+    counts, _ = np.histogram(ranges_m, np.where(np.isinf(edges_m), 1e9, edges_m))
+    return counts.astype(np.int64)
+
+
+# § The figure of a lidar in rain: from above in clear air and in rain, and what is lost and made up by distance.
+
+_SIZE_INCHES, _DPI = (13.5, 8.2), 140
+
+_CLEAR, _DROPPED, _MASKED, _FALSE, _EGO = "#3c6e9f", "#e08a1e", "#7d3fa0", "#d3202a", "#222222"
+
+_VIEWED_SHARE = 0.985
+
+_ASPECT = 0.66
+"""Height over width of what is seen from above."""
+
+_FEWEST = 20
+"""Bins with fewer clear returns than this have no share to be drawn."""
+
+_FEW_ENTRIES = 8
+"""Of a legend that lies in its panel; a longer one stands to its right."""
+
+ByIntensity = Mapping[float, Sequence[RunCounts]]
+"""All seeds and turns at each intensity in mm/h."""
+
+_Rows = Mapping[float, Sequence[Tally]]
+
+
+def write_figure(path: Path, shown: Run, by_intensity: ByIntensity) -> None:
+    """Draw and write the figure (PNG), whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as beside:
+        draw_figure(shown, by_intensity).savefig(beside, format="png", dpi=_DPI)
+
+
+def draw_figure(shown: Run, by_intensity: ByIntensity) -> Figure:
+    """Draw one turn from above, clear and in its rain, and the counts of all turns by range."""
+    figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.08)  # pyright: ignore
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(2, 2, height_ratios=(1.45, 1))
+    reach = float(np.quantile(shown.turn.beams.ranges_m[shown.turn.beams.is_echo], _VIEWED_SHARE))
+    _draw_clear(figure.add_subplot(grid[0, 0]), shown.turn, reach)
+    _draw_rain(figure.add_subplot(grid[0, 1]), shown, reach)
+    _draw_kept(
+        figure.add_subplot(grid[1, 0]), {rain: [run.tally for run in runs] for rain, runs in by_intensity.items()}
+    )
+    _draw_false(
+        figure.add_subplot(grid[1, 1]), {rain: [run.near for run in runs] for rain, runs in by_intensity.items()}
+    )
+    return figure
+
+
+def _from_above(turn: Turn, points_m: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
+    """To the left and ahead of the vehicle, in metres."""
+    local = (points_m - turn.anchor_to_world[:3, 3]) @ turn.anchor_to_world[:3, :3]
+    return np.stack([local[:, 0], local[:, 1]], axis=1)
+
+
+def _draw_clear(axes: Axes, turn: Turn, reach_m: float) -> None:
+    echoes = turn.beams.is_echo
+    _dots(axes, _from_above(turn, turn.beams.points_m[echoes].astype(np.float64)), _CLEAR)
+    _frame(axes, turn, reach_m)
+    axes.set_title(f"clear: {int(echoes.sum()):,} returns", loc="left")
+
+
+def _draw_rain(axes: Axes, shown: Run, reach_m: float) -> None:
+    turn, rainy = shown.turn, shown.rainy
+    fates, clear = rainy.fates, turn.beams.points_m.astype(np.float64)
+    kept = ~rainy.is_false & ~turn.beams.untouched[rainy.beams]
+    _dots(axes, _from_above(turn, rainy.sweep.points_m[kept].astype(np.float64)), _CLEAR, f"kept {int(kept.sum()):,}")
+    for fate, color, title in ((Fate.DROPPED, _DROPPED, "too weak"), (Fate.MASKED, _MASKED, "behind a drop")):
+        lost = fates == fate
+        label = f"{title} {int(lost.sum()):,}"
+        _dots(axes, _from_above(turn, clear[lost]), color, label, size=3.0)
+    false = rainy.sweep.points_m[rainy.is_false].astype(np.float64)
+    _dots(axes, _from_above(turn, false), _FALSE, f"drops {len(false):,}", size=5.0)
+    _frame(axes, turn, reach_m)
+    axes.set_title(
+        f"{shown.state.intensity_mm_h:g} mm/h: {len(rainy.beams) - int(turn.beams.untouched.sum()):,} returns",
+        loc="left",
+    )
+    axes.legend(loc="upper right", fontsize=8, framealpha=0.9, markerscale=3, handletextpad=0.2)
+
+
+def _dots(axes: Axes, places: Float64[np.ndarray, "n 2"], color: str, label: str = "", size: float = 0.6) -> None:
+    axes.scatter(places[:, 0], places[:, 1], s=size, c=color, linewidths=0, label=label or None, rasterized=True)
+
+
+def _frame(axes: Axes, turn: Turn, reach_m: float) -> None:
+    sensor = _from_above(turn, turn.beams.origin_m[None])[0]
+    axes.plot(*sensor, marker="^", color=_EGO, markersize=6, linestyle="none")
+    axes.set_xlim(sensor[0] - reach_m, sensor[0] + reach_m)
+    axes.set_ylim(sensor[1] - _ASPECT * reach_m, sensor[1] + _ASPECT * reach_m)
+    axes.set_aspect("equal")
+    axes.set_xlabel("ahead (m)")
+    axes.set_ylabel("left (m)")
+
+
+def _draw_kept(axes: Axes, rows: _Rows) -> None:
+    for color, (intensity, tallies) in zip(shades(len(rows)), rows.items(), strict=True):
+        edges = np.where(np.isinf(tallies[0].edges_m), 1.5 * tallies[0].edges_m[-2], tallies[0].edges_m)
+        enough = sum(each.clear for each in tallies) >= _FEWEST * len(tallies)
+        shares = np.stack([np.where(enough, each.kept_share(), np.nan) for each in tallies])
+        _band(axes, (edges[1:] + edges[:-1]) / 2, shares, color, f"{intensity:g} mm/h")
+    axes.set_title("clear returns that are kept", loc="left")
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))
+    _finish(axes, "range (m)")
+    axes.set_ylim(min(axes.get_ylim()[0], 0.9), 1.005)
+
+
+def _draw_false(axes: Axes, near: _Rows) -> None:
+    for color, (intensity, tallies) in zip(shades(len(near)), near.items(), strict=True):
+        edges = tallies[0].edges_m
+        counts = np.stack([each.false for each in tallies]).astype(np.float64)
+        if counts.any():
+            _band(
+                axes,
+                (edges[1:] + edges[:-1]) / 2,
+                counts,
+                color,
+                f"{intensity:g} mm/h: {counts.sum(1).mean():.0f} in all",
+            )
+    axes.set_title(f"false returns: drops in a turn, per {NEAR_STEP_M:g} m", loc="left")
+    _finish(axes, "range (m)")
+    axes.set_ylim(bottom=0)
+    if not axes.lines:
+        axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color="#888888", fontsize=12)
+
+
+def _band(
+    axes: Axes, x: Float64[np.ndarray, " k"], values: Float64[np.ndarray, "s k"], color: Color, label: str
+) -> None:
+    """The mean of seeds and turns, in a band from the least to the most of them."""
+    known = np.isfinite(values).all(axis=0)
+    x, values = x[known], values[:, known]
+    axes.fill_between(x, values.min(axis=0), values.max(axis=0), color=color, alpha=0.25, linewidth=0)
+    axes.plot(x, values.mean(axis=0), color=color, marker="o", markersize=3, linewidth=1.4, label=label)
+
+
+def _finish(axes: Axes, x_title: str) -> None:
+    axes.set_xlabel(x_title)
+    axes.grid(alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)
+    entries = len(axes.get_legend_handles_labels()[0])
+    if entries > _FEW_ENTRIES:
+        axes.legend(fontsize=6.5, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0), ncols=-(-entries // 20))
+    elif entries:
+        axes.legend(fontsize=8, frameon=False)

@@ -1,0 +1,634 @@
+"""A lidar's turn in rain: weak echoes are lost, ranges get noisier, drops answer in place of things.
+
+The lidar equation with rain as what weakens and as a target: Rasshofer, Spies and Spies 2011 (Advances in Radio Science
+9); Goodin, Carruth, Doude and Hudson 2019 (Electronics 8:89); Kilic et al. 2021 (LISA); Hasirlioglu and Riener 2017.
+Unlike theirs, drops, sizes and extinction are those of the rain that the cameras see.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, no_type_check
+
+import msgspec
+import numba
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int8, Int64
+
+from ...datasets.capture import EGO_HEIGHT_M, Capture, Sweep
+from ...rain.simulation import Rainfall, View
+from ...rain.wetness import water_depth_mm
+from ...render.cpu.projection import project
+from ...render.cpu.tiles import TILE, bin_into_tiles
+from ...scene.camera import Camera
+from ...scene.files import whole_file
+from ...scene.geometry import matrices_from_quaternions
+from ...scene.scene import Layer, Part, Scene, Track
+from .rain_echoes import DropEchoes, DropSignals, far_echoes, field_echoes, span_in_box, wet_road_share
+from .sensor import STATED_REFLECTANCE, Beams, LidarSensor
+
+Answer = Literal["strongest", "first", "last"]
+
+
+class Fate(IntEnum):
+    """What became of a beam's clear echo."""
+
+    NOTHING = 0
+    """There was none."""
+    KEPT = 1
+    DROPPED = 2
+    """Too weak in rain."""
+    MASKED = 3
+    """Detectable, but a drop answered in its place."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SweepInRain:
+    """What a sensor reports in rain, and what it would have in clear air."""
+
+    sweep: Sweep
+    """World, metres; intensities as in clear air where those are known."""
+    beams: Int64[np.ndarray, " m"]
+    """The beam of each point."""
+    is_false: Bool[np.ndarray, " m"]
+    """Which points are drops."""
+    fates: Int8[np.ndarray, " n"]
+    """A `Fate` for each beam."""
+    signals: Float64[np.ndarray, " m"]
+    """Power of each point in multiples of what is just detected; 0 for what rain leaves alone."""
+
+    @property
+    def false_ranges_m(self) -> Float64[np.ndarray, " k"]:
+        return np.linalg.norm(self.sweep.points_m[self.is_false].astype(np.float64) - self.sweep.origin_m, axis=1)
+
+
+class _Chosen(NamedTuple):
+    """The drop that may answer in a beam."""
+
+    beams: Int64[np.ndarray, " m"]
+    ranges_m: Float64[np.ndarray, " m"]
+    reflectances: Float64[np.ndarray, " m"]
+    signals: Float64[np.ndarray, " m"]
+
+
+def sweep_in_rain(
+    beams: Beams,
+    sensor: LidarSensor,
+    rainfall: Rainfall,
+    anchor_to_world: Float64[np.ndarray, "4 4"],
+    *,
+    answer: Answer = "strongest",
+    wet_road: bool = True,
+) -> SweepInRain:
+    """Return what a sensor reports in rain, by its beams in clear air.
+
+    Extinction is beta(R) of `RainState`, two ways. Drops are those of the rain's own field at the beams' time inside
+    its streak region, which stands in the frame `anchor_to_world`, and Poisson ones beyond. Of a beam's echoes the
+    strongest (over what is just detected there), the first or the last is reported. Range noise is what rain adds to
+    that of clear air. The rain's seed fixes everything; without rain and wetness the points come back, to the bit.
+    """
+    rainfall = rainfall.moment(beams.time_s)
+    state, seed = rainfall.state, rainfall.rain.seed
+    ranges = np.where(beams.is_echo, beams.ranges_m, 1.0)
+    faded = np.exp(-2 * state.extinction_per_m * ranges)
+    if wet_road:
+        faded *= _wet_road(beams, sensor, rainfall)
+    clear = np.where(beams.is_echo, sensor.signal(ranges, beams.reflectances, 0.0), 0.0)
+    signals = clear * faded
+    chosen = _answering_drops(beams, sensor, rainfall, anchor_to_world, answer)
+    # What was just detected stays detected where nothing fades: rounding must not lose it.
+    heard = beams.is_echo & ((signals >= 1) | (faded == 1))
+    by_drop = np.zeros(len(beams), bool)
+    by_drop[chosen.beams] = _drop_answers(answer, chosen, heard, signals)
+    fates = np.full(len(beams), Fate.NOTHING, np.int8)
+    fates[beams.is_echo] = Fate.DROPPED
+    fates[heard] = Fate.KEPT
+    fates[heard & by_drop] = Fate.MASKED
+    kept = np.flatnonzero((fates == Fate.KEPT) | beams.untouched)
+    false = chosen.beams[by_drop[chosen.beams]]
+    drop = _Chosen(*(column[by_drop[chosen.beams]] for column in chosen))
+    noise = np.random.default_rng([seed, _moment(beams.time_s), 1]).standard_normal(len(beams))
+    moved = noise * _added_sigma(sensor, clear, signals)
+    moved[beams.untouched] = 0
+    true_points = (beams.points_m + beams.directions * moved[:, None])[kept]
+    spread = drop.ranges_m + noise[false] * sensor.range_sigma(drop.signals)
+    false_points = beams.origin_m + beams.directions[false] * np.maximum(spread, sensor.blind_m)[:, None]
+    order = np.argsort(np.concatenate([kept, false]), kind="stable")
+    points = np.concatenate([true_points, false_points]).astype(np.float32)[order]
+    intensities = _intensities(beams, faded, kept, drop, state.extinction_per_m)
+    return SweepInRain(
+        sweep=Sweep(beams.time_s, points, beams.origin_m, None if intensities is None else intensities[order]),
+        beams=np.concatenate([kept, false])[order],
+        is_false=(np.arange(len(order)) >= len(kept))[order],
+        fates=fates,
+        signals=np.concatenate([signals[kept], drop.signals])[order],
+    )
+
+
+def levelled_frame(
+    forward: Sequence[float] | Float64[np.ndarray, "3"], origin_m: Float64[np.ndarray, "3"]
+) -> Float64[np.ndarray, "4 4"]:
+    """Frame of the rain's regions: x along a heading, z up, without tilt."""
+    length = float(np.hypot(forward[0], forward[1]))
+    x, y = (forward[0] / length, forward[1] / length) if length > 1e-6 else (1.0, 0.0)
+    frame = np.eye(4)
+    frame[:2, :2] = [[x, -y], [y, x]]
+    frame[:3, 3] = origin_m
+    return frame
+
+
+def _wet_road(beams: Beams, sensor: LidarSensor, rainfall: Rainfall) -> Float64[np.ndarray, " n"]:
+    """Share of each echo that a wet road leaves; 1 for all but the road."""
+    shares, wetness = np.ones(len(beams)), rainfall.wetness_at(beams.time_s)
+    road = np.flatnonzero(beams.is_echo & (beams.road_cosines > 0))
+    if wetness > 0 and len(road):
+        cosines = beams.road_cosines[road]
+        matt = np.clip(beams.reflectances[road] / cosines, 0, 1)
+        film = water_depth_mm(rainfall.state.intensity_mm_h)
+        shares[road] = wet_road_share(cosines, matt, wetness, film, sensor.wavelength_nm)
+    return shares
+
+
+def _answering_drops(
+    beams: Beams, sensor: LidarSensor, rainfall: Rainfall, anchor_to_world: Float64[np.ndarray, "4 4"], answer: Answer
+) -> _Chosen:
+    """The one drop of each beam that would answer if the beam met nothing else."""
+    if rainfall.state.intensity_mm_h == 0:
+        return _Chosen(np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))
+    signals = DropSignals(sensor, rainfall.state)
+    listened = np.where(beams.untouched, 0, np.minimum(beams.ranges_m - sensor.pulse_m, signals.reach_m))
+    listened = np.maximum(listened, 0)
+    view = View(Camera.from_fov(1, 1, 45.0, np.eye(4)), anchor_to_world, np.zeros(3))
+    field = rainfall.streak_field(beams.time_s, view)
+    simulated = span_in_box(beams, rainfall.rain.streak_region, anchor_to_world)
+    seed = np.random.default_rng([rainfall.rain.seed, _moment(beams.time_s), 2]).integers(2**63)
+    found = DropEchoes.joined(
+        field_echoes(field, beams, listened, signals), far_echoes(beams, listened, simulated, signals, int(seed))
+    )
+    strength = sensor.signal(found.ranges_m, found.reflectances, rainfall.state.extinction_per_m)
+    first = {"strongest": -strength, "first": found.ranges_m, "last": -found.ranges_m}[answer]
+    order = np.lexsort((first, found.beams))
+    best = order[np.unique(found.beams[order], return_index=True)[1]]
+    return _Chosen(found.beams[best], found.ranges_m[best], found.reflectances[best], strength[best])
+
+
+def _drop_answers(
+    answer: Answer, drops: _Chosen, heard: Bool[np.ndarray, " n"], signals: Float64[np.ndarray, " n"]
+) -> Bool[np.ndarray, " m"]:
+    """Whether each drop is reported: always where the thing behind it isn't heard."""
+    if answer == "first":
+        return np.ones(len(drops.beams), bool)
+    wins = drops.signals > signals[drops.beams] if answer == "strongest" else np.zeros(len(drops.beams), bool)
+    return ~heard[drops.beams] | wins
+
+
+def _added_sigma(
+    sensor: LidarSensor, clear: Float64[np.ndarray, " n"], rainy: Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, " n"]:
+    """Standard deviation that rain adds to a range: the points of a clear sweep have their own noise already."""
+    before, after = (sensor.range_sigma(np.maximum(each, 1)) ** 2 for each in (clear, rainy))
+    return np.sqrt(np.maximum(after - before, 0))
+
+
+def _intensities(
+    beams: Beams,
+    faded: Float64[np.ndarray, " n"],
+    kept: Int64[np.ndarray, " k"],
+    drops: _Chosen,
+    extinction_per_m: float,
+) -> Float32[np.ndarray, " m"] | None:
+    """What the sensor takes the reflectance for: it knows the range, and nothing of the rain."""
+    if beams.intensities is None:
+        return None
+    true = beams.intensities[kept] * np.where(beams.untouched, 1, faded)[kept]
+    false = beams.full_intensity * drops.reflectances * np.exp(-2 * extinction_per_m * drops.ranges_m)
+    return np.concatenate([true, false]).astype(np.float32)
+
+
+def _moment(time_s: float) -> int:
+    """A time as a whole number that seeds draws: microseconds."""
+    return round(time_s * 1e6) % 2**32
+
+
+# § A lidar in a scene: what its beams hit, from four pictures of its surfaces around it.
+
+_FACE_DEG = 90.0
+
+_MARGIN_PX = 4
+
+_LARGEST_PX = 2048
+
+_ROAD_UP = 0.95
+
+_ROAD_M = 0.3
+
+# § Beams of a sweep that a lidar measured in clear air: what its points and intensities tell of them.
+
+MATT = 0.2
+"""Reflectance of all things, with the cosine of incidence, where a sweep has no intensities."""
+
+
+def scan_scene(
+    scene: Scene, time_s: float, sensor_to_world: Float64[np.ndarray, "4 4"], sensor: LidarSensor, matt: float = MATT
+) -> Beams:
+    """Send the sensor's beams into a scene. `sensor_to_world` is a pose: x forward, y left, z up, metres.
+
+    Everything has the same near-infrared reflectance `matt`, times the cosine of incidence: colours say nothing of it.
+    All beams are sent at one moment. Sky is nothing.
+    """
+    own = _own_directions(sensor)
+    directions = own @ sensor_to_world[:3, :3].T
+    origin = sensor_to_world[:3, 3].copy()
+    ranges, normals = np.full(len(own), np.inf), np.zeros((len(own), 3))
+    azimuths = np.degrees(np.arctan2(own[:, 1], own[:, 0]))
+    surfaces = Surfaces.of(scene, time_s)
+    faces = np.round(azimuths / _FACE_DEG).astype(int) % 4
+    for face in np.unique(faces).tolist():
+        mine = np.flatnonzero(faces == face)
+        camera = _face_camera(sensor, sensor_to_world, face)
+        ranges[mine], normals[mine] = surfaces.met_by(directions[mine], camera)
+    cosines = np.abs(np.sum(normals * directions, axis=1))
+    found = np.isfinite(ranges)
+    points = np.where(found[:, None], origin + directions * np.where(found, ranges, 0)[:, None], origin)
+    return Beams(
+        time_s=time_s,
+        origin_m=origin,
+        directions=directions,
+        ranges_m=ranges,
+        points_m=points.astype(np.float32),
+        reflectances=matt * cosines,
+        road_cosines=np.where(found & _is_road(scene, time_s, points, normals), cosines, 0.0),
+        untouched=np.zeros(len(own), bool),
+    ).heard_by(sensor)
+
+
+def _own_directions(sensor: LidarSensor) -> Float64[np.ndarray, "n 3"]:
+    """Unit directions in the sensor's own frame, ring by ring, each from its right to its left."""
+    limit, step = sensor.azimuth_limit_deg, sensor.azimuth_step_deg
+    azimuths = np.radians(-limit + step * (np.arange(round(2 * limit / step)) + 0.5))
+    up, around = np.meshgrid(np.radians(sensor.elevations_deg), azimuths, indexing="ij")
+    return np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)], axis=-1).reshape(-1, 3)
+
+
+def _face_camera(sensor: LidarSensor, sensor_to_world: Float64[np.ndarray, "4 4"], face: int) -> Camera:
+    """A camera that sees a quarter of the beams, with pixels as wide as the azimuth's step."""
+    focal = min(1 / math.radians(sensor.azimuth_step_deg), _LARGEST_PX / 2)
+    half = math.ceil(focal) + _MARGIN_PX
+    steepest = math.sqrt(2) * focal  # at a picture's sides, where rows of equal elevation rise
+    top, bottom = (
+        math.ceil(steepest * math.tan(math.radians(max(highest, 0.0)))) + _MARGIN_PX
+        for highest in (max(sensor.elevations_deg), -min(sensor.elevations_deg))
+    )
+    turn = math.radians(_FACE_DEG * face)
+    forward = np.array([math.cos(turn), math.sin(turn), 0.0])
+    right = np.array([math.sin(turn), -math.cos(turn), 0.0])
+    to_camera = np.eye(4)
+    to_camera[:3, :3] = np.stack([right, (0.0, 0.0, -1.0), forward]) @ sensor_to_world[:3, :3].T
+    to_camera[:3, 3] = -to_camera[:3, :3] @ sensor_to_world[:3, 3]
+    return Camera(2 * half, top + bottom, focal, focal, float(half), float(top), to_camera)
+
+
+def _is_road(
+    scene: Scene, time_s: float, points_m: Float64[np.ndarray, "n 3"], normals: Float64[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, " n"]:
+    """What lies flat at the height of the road, where that is known."""
+    ego = scene.ego_to_world(time_s)
+    height = scene.ground_m if ego is None else float(ego[2, 3]) - EGO_HEIGHT_M
+    flat = normals[:, 2] > _ROAD_UP
+    return flat if height is None else flat & (np.abs(points_m[:, 2] - height) < _ROAD_M)
+
+
+# § Where rays meet a scene's surfaces: each flat Gaussian is a piece of a plane, and half of a ray's light ends at
+# one.
+#
+# Blended depth of splats' centres lies in front of a road that is seen at a grazing angle, and between two things
+# where
+# it mixes them. So the ray is followed through the splats to where less than half of it is left (median depth), and
+# met
+# with the planes of the splats around there, n . x = d (as Chen et al. 2024, PGSR, take depth), which has pieces of
+# one
+# plane give that plane.
+
+_FLAT = 0.35
+"""A Gaussian is flat if its shortest axis is less than this share of the next; a round one faces the eye."""
+
+_FARTHEST_OFF = 0.5
+"""A plane that a ray meets so far from the splat's centre, as a share of the depth, is not met where the splat is."""
+
+_SAME_SHARE, _SAME_M = 0.03, 0.05
+"""Splats that a ray meets within this of the median are pieces of the same surface."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surfaces:
+    """What can be seen of a scene at a time: its parts, and which of their Gaussians are sky."""
+
+    parts: tuple[Part, ...]
+    is_sky: Bool[np.ndarray, " n"]
+
+    @classmethod
+    def of(cls, scene: Scene, time_s: float) -> "Surfaces":
+        members = [(each, scene.part(each, time_s)) for each in scene.members if each.visible]
+        shown = [(member, part) for member, part in members if part is not None]
+        sky = [np.full(len(p.gaussians), isinstance(m, Layer) and m.kind == "sky") for m, p in shown]
+        return cls(tuple(part for _, part in shown), np.concatenate([np.zeros(0, np.bool_), *sky]))
+
+    def met_by(
+        self, directions: Float64[np.ndarray, "n 3"], camera: Camera
+    ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
+        """Ranges in metres (infinite where there is nothing) and world normals that face the eye.
+
+        Unit `directions` in the world start in the camera and lie in its picture, whose size of pixels is how sharply
+        the Gaussians are seen.
+        """
+        splats = project(self.parts, camera)
+        tiles = bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height)
+        turn = camera.world_to_camera[:3, :3]
+        own = directions @ turn.T
+        rays = own / own[:, 2:]
+        planes = np.column_stack([_planes(self.parts, splats.indices, camera), splats.colors[:, 3]])
+        places = np.stack([camera.cx + camera.fx * rays[:, 0], camera.cy + camera.fy * rays[:, 1]], axis=1)
+        found = np.zeros((len(rays), 4))
+        is_sky = self.is_sky[splats.indices]
+        _meet(splats.shapes, tiles.starts, tiles.members, tiles.columns, planes, is_sky, rays, places, found)
+        there = found[:, 0] > 0
+        return np.where(there, found[:, 0] / own[:, 2], np.inf), found[:, 1:] @ turn
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check
+def _meet(shapes, starts, members, columns, planes, is_sky, rays, places, found):
+    """Write depth along the view axis, 0 where there is nothing, and the unit normal of what each ray meets."""
+    for i in numba.prange(len(rays)):
+        u, v, ray = places[i, 0], places[i, 1], rays[i]
+        tile = int(v) // TILE * columns + int(u) // TILE
+        left, hit = 1.0, -1
+        for k in range(starts[tile], starts[tile + 1]):
+            left *= 1 - _alpha(shapes[members[k]], u, v)
+            if left < 0.5:
+                hit = members[k]
+                break
+        if hit < 0 or is_sky[hit]:
+            continue
+        median = _depth(planes[hit], ray)
+        left, weight, depth = 1.0, 0.0, 0.0
+        normal = np.zeros(3)
+        for k in range(starts[tile], starts[tile + 1]):
+            m = members[k]
+            alpha = _alpha(shapes[m], u, v)
+            if alpha == 0 or is_sky[m]:
+                continue
+            own = _depth(planes[m], ray)
+            if abs(own - median) <= _SAME_SHARE * median + _SAME_M:
+                weight += left * alpha
+                depth += left * alpha * own
+                normal += left * alpha * planes[m, :3]
+            left *= 1 - alpha
+            if left < 1e-3:
+                break
+        length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+        found[i, 0] = depth / weight
+        found[i, 1:] = normal / max(length, 1e-9)
+
+
+@numba.njit(inline="always")
+@no_type_check
+def _alpha(shape, u, v):
+    """Alpha of a splat at a place in the picture, see `Splats`."""
+    dx = u - shape[0]
+    if abs(dx) > shape[7]:
+        return 0.0
+    dy = v - shape[1] - shape[2] * dx
+    log = shape[5] + shape[3] * dx * dx + shape[4] * dy * dy
+    return np.exp(log) if log >= shape[6] else 0.0
+
+
+@numba.njit(inline="always")
+@no_type_check
+def _depth(plane, ray):
+    """Depth at which a ray meets a splat's plane; that of its centre where it meets it elsewhere."""
+    towards = plane[0] * ray[0] + plane[1] * ray[1] + plane[2] * ray[2]
+    if towards >= -1e-6:
+        return plane[4]
+    depth = plane[3] / towards
+    return depth if abs(depth - plane[4]) < _FARTHEST_OFF * plane[4] else plane[4]
+
+
+def _planes(parts: Sequence[Part], indices: Int64[np.ndarray, " m"], camera: Camera) -> Float64[np.ndarray, "m 4"]:
+    """Unit normals that face the eye, and n . x, of some Gaussians counted through all parts; camera axes, metres."""
+    planes = np.zeros((len(indices), 4))
+    first = 0
+    for part in parts:
+        rows = slice(*np.searchsorted(indices, [first, first + len(part.gaussians)]).tolist())
+        chosen = indices[rows] - first
+        first += len(part.gaussians)
+        to_camera = camera.world_to_camera @ part.to_world
+        places = part.gaussians.means[chosen].astype(np.float64) @ to_camera[:3, :3].T + to_camera[:3, 3]
+        planes[rows, :3] = _normals(part, chosen, places, to_camera)
+        planes[rows, 3] = np.sum(planes[rows, :3] * places, axis=1)
+    planes[planes[:, 3] > 0] *= -1
+    return planes
+
+
+def _normals(
+    part: Part,
+    chosen: Int64[np.ndarray, " m"],
+    places: Float64[np.ndarray, "m 3"],
+    to_camera: Float64[np.ndarray, "4 4"],
+) -> Float64[np.ndarray, "m 3"]:
+    scales: Float32[np.ndarray, "m 3"] = part.gaussians.scales[chosen]
+    turns = matrices_from_quaternions(part.gaussians.quaternions[chosen].astype(np.float64))
+    shortest = np.argmin(scales, axis=1)
+    along = np.take_along_axis(turns, shortest[:, None, None], axis=2)[:, :, 0] @ to_camera[:3, :3].T
+    ordered = np.sort(scales, axis=1)
+    flat = ordered[:, 0] < _FLAT * ordered[:, 1]
+    normals = np.where(flat[:, None], along, places)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+
+
+RETROREFLECTING = 100.0
+"""Where intensities go beyond 1, what is white and matt has this one; what has more is a reflector (as of Velodyne)."""
+
+ROOF_M = 1.9
+"""Height over the road that a sensor is taken to have where its data set puts it on the road: on a car's roof."""
+
+_ON_ROAD_M = 0.5
+
+_BEAM_ROAD_M = 0.25
+"""What lies within this of the road's height is the road."""
+
+_SMALLEST_STEPS = 0.5 / 255
+"""Share of the scale that an intensity of 0 is taken for: it was rounded down."""
+
+_SEEN_SHARE = 0.99
+
+
+def full_intensity(sweep: Sweep) -> float:
+    """Guess which intensity a sweep gives to what is white, matt and square to the beam: 1, or 100."""
+    if sweep.intensities is None or not len(sweep.intensities) or sweep.intensities.max() <= 1:
+        return 1.0
+    return RETROREFLECTING
+
+
+def range_told_by(sweep: Sweep, full: float) -> float | None:
+    """Range in metres at which its sensor detects 10 %, as the sweep itself tells; None without intensities.
+
+    Whoever sees the reflectance rho at r sees 10 % at r sqrt(0.1 / rho) at least: 99 % of a sweep's returns lie below
+    the value that is taken, since the faintest of them are rounded.
+    """
+    if sweep.intensities is None:
+        return None
+    ranges = np.linalg.norm(sweep.points_m - sweep.origin_m, axis=1)
+    seen = _reflectances(sweep, full)[ranges > 1]
+    if not len(seen):
+        return None
+    return float(np.quantile(ranges[ranges > 1] * np.sqrt(STATED_REFLECTANCE / seen), _SEEN_SHARE))
+
+
+def sweep_beams(sweep: Sweep, sensor: LidarSensor, ego: Track | None = None, full: float | None = None) -> Beams:
+    """Turn each point of a sweep into a beam. Beams that met nothing are not in a sweep, and stay unknown.
+
+    What was detected was detectable: reflectances, the intensities over `full`, are raised to what the sensor just
+    detects where they lie below. Points nearer than the sensor sees (the own vehicle, placeholders at the origin) are
+    left alone. With `ego`, the vehicle's track, what lies at its road's height is road; and a sensor that would stand
+    on the road (data sets that give points in the vehicle's frame have lost its place) is lifted to `ROOF_M`.
+    """
+    full = full_intensity(sweep) if full is None else full
+    sweep = replace(sweep, origin_m=_origin(sweep, ego))
+    away = sweep.points_m.astype(np.float64) - sweep.origin_m
+    ranges = np.linalg.norm(away, axis=1)
+    untouched = ranges < max(sensor.clear_m, 1e-3)
+    directions = away / np.maximum(ranges, 1e-9)[:, None]
+    directions[ranges < 1e-9] = (1, 0, 0)
+    least = sensor.detectable(np.where(untouched, sensor.clear_m, ranges))
+    return Beams(
+        time_s=sweep.time_s,
+        origin_m=sweep.origin_m,
+        directions=directions,
+        ranges_m=ranges,
+        points_m=sweep.points_m,
+        reflectances=np.maximum(_reflectances(sweep, full), least),
+        road_cosines=_road_cosines(sweep, ranges, ego),
+        untouched=untouched,
+        intensities=sweep.intensities,
+        full_intensity=full,
+    )
+
+
+def _reflectances(sweep: Sweep, full: float) -> Float64[np.ndarray, " p"]:
+    if sweep.intensities is None:
+        return np.full(len(sweep.points_m), MATT)
+    return np.maximum(sweep.intensities.astype(np.float64) / full, _SMALLEST_STEPS)
+
+
+def _origin(sweep: Sweep, ego: Track | None) -> Float64[np.ndarray, "3"]:
+    pose = None if ego is None else ego.pose(sweep.time_s)
+    if pose is None:
+        return sweep.origin_m
+    up = pose[:3, 2]
+    height = float((sweep.origin_m - pose[:3, 3]) @ up) + EGO_HEIGHT_M
+    return sweep.origin_m if height > _ON_ROAD_M else sweep.origin_m + (ROOF_M - height) * up
+
+
+def _road_cosines(sweep: Sweep, ranges_m: Float64[np.ndarray, " p"], ego: Track | None) -> Float64[np.ndarray, " p"]:
+    pose = None if ego is None else ego.pose(sweep.time_s)
+    if pose is None:
+        return np.zeros(len(ranges_m))
+    up = pose[:3, 2]  # of a vehicle that stands on a slope, that of the slope
+    heights = (sweep.points_m - pose[:3, 3]) @ up + EGO_HEIGHT_M
+    sensor_height = float((sweep.origin_m - pose[:3, 3]) @ up) + EGO_HEIGHT_M
+    cosines = np.clip((sensor_height - heights) / np.maximum(ranges_m, 1e-9), 0, 1)
+    return np.where(np.abs(heights) < _BEAM_ROAD_M, cosines, 0.0)
+
+
+# § Turns of a lidar to rain on: sweeps of a capture, or virtual ones along a scene's drive.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turn:
+    """One turn of a lidar, and where the rain's regions stand around it."""
+
+    name: str
+    beams: Beams
+    anchor_to_world: Float64[np.ndarray, "4 4"]
+    """Frame of the rain's regions: the vehicle's, levelled."""
+    sensor: LidarSensor
+
+
+def capture_turns(
+    capture: Capture, sensor: LidarSensor, count: int = 1, *, full: float | None = None, told_range: bool = True
+) -> Iterator[Turn]:
+    """Yield some sweeps of a capture, evenly over it. With `told_range` the sensor's range is that which they tell.
+
+    Raises `ValueError` where there is no sweep, or the capture is not in metres with z up.
+    """
+    if not capture.sweeps:
+        raise ValueError(f"{capture.name}: has no lidar sweeps")
+    if not capture.is_metric or abs(capture.up[2] - 1) > 1e-6:
+        raise ValueError(f"{capture.name}: its world is not in metres with z up, where rain falls")
+    for number in evenly(len(capture.sweeps), count):
+        sweep = capture.sweeps[number]
+        scale = full_intensity(sweep) if full is None else full
+        told = range_told_by(sweep, scale) if told_range else None
+        own = sensor
+        if told is not None:
+            own = msgspec.structs.replace(sensor, range_m=min(max(told, 1.0), 1000.0))
+        pose = None if capture.ego is None else capture.ego.pose(sweep.time_s)
+        frame = (
+            levelled_frame((1.0, 0.0, 0.0), sweep.origin_m)
+            if pose is None
+            else levelled_frame(pose[:3, 0], pose[:3, 3])
+        )
+        yield Turn(f"sweep{number:04d}", sweep_beams(sweep, own, capture.ego, scale), frame, own)
+
+
+def scene_turns(
+    scene: Scene, sensor: LidarSensor, times_s: Sequence[float], *, matt: float = MATT, height_m: float = ROOF_M
+) -> Iterator[Turn]:
+    """Yield virtual turns of a sensor on the ego vehicle's roof, `height_m` over the road, level.
+
+    Raises `ValueError` for a scene without an ego track, and for times at which the vehicle isn't there.
+    """
+    for number, time_s in enumerate(times_s):
+        ego = scene.ego_to_world(time_s)
+        if ego is None:
+            raise ValueError(
+                f"scene {scene.name!r} has no ego vehicle at {time_s:g} s, whose roof a lidar could stand on"
+            )
+        frame = levelled_frame(ego[:3, 0], ego[:3, 3])
+        pose = frame.copy()
+        pose[2, 3] += height_m - EGO_HEIGHT_M
+        yield Turn(f"scan{number:04d}", scan_scene(scene, time_s, pose, sensor, matt), frame, sensor)
+
+
+def evenly(total: int, count: int) -> list[int]:
+    """Indices of some of many things, evenly over them, from the first one on."""
+    count = min(count, total)
+    return [i * total // count for i in range(count)]
+
+
+# § Writes a sweep in rain as an NPZ file, the same bytes for the same sweep.
+
+
+def write_sweep(path: Path, rainy: SweepInRain) -> None:
+    """Write `points_m` (world), `origin_m`, `time_s`, `is_false`, `beams`, `fates` and `signals`, and `intensities`.
+
+    `beams` says which beam (of a capture: which row of the clear sweep) each point comes from, `fates` what became of
+    each beam's clear echo: 0 there was none, 1 kept, 2 dropped, 3 masked. The file appears whole or not at all.
+    """
+    columns: dict[str, Any] = {
+        "points_m": rainy.sweep.points_m,
+        "origin_m": rainy.sweep.origin_m,
+        "time_s": np.float64(rainy.sweep.time_s),
+        "is_false": rainy.is_false,
+        "beams": rainy.beams,
+        "fates": rainy.fates,
+        "signals": rainy.signals.astype(np.float32),
+    }
+    if rainy.sweep.intensities is not None:
+        columns["intensities"] = rainy.sweep.intensities
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as beside, beside.open("wb") as file:
+        np.savez_compressed(file, **columns)

@@ -1,0 +1,167 @@
+"""A lidar as numbers: its beams, and what it just detects at which distance."""
+
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Float64
+from msgspec import Meta
+
+STATED_REFLECTANCE = 0.1
+"""Makers state the range at which a matt surface of this reflectance, hit square, is just detected."""
+
+_STEEPEST_DEG = 60.0
+
+
+class LidarSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A pulsed lidar. Power is counted in multiples of what is just detected, so no watt enters.
+
+    A surface that fills the beam returns P = P0 rho cos / r^2 exp(-2 beta r) (the lidar equation; Rasshofer, Spies and
+    Spies 2011, Advances in Radio Science 9, eq. 1-4), and P0 follows from `range_m`.
+    """
+
+    name: str
+    elevations_deg: Annotated[tuple[float, ...], Meta(min_length=1, title="Elevations")]
+    """Of each ring of beams, upwards; a virtual scan needs them."""
+    azimuth_step_deg: Annotated[float, Meta(ge=0.02, le=10, title="Azimuth step", extra={"unit": "deg"})] = 0.2
+    azimuth_limit_deg: Annotated[float, Meta(gt=0, le=180, title="Azimuth to either side", extra={"unit": "deg"})] = 180
+    wavelength_nm: Annotated[Literal[905, 1550], Meta(title="Wavelength", extra={"unit": "nm"})] = 905
+    range_m: Annotated[float, Meta(ge=1, le=1000, title="Range at 10 %", extra={"unit": "m"})] = 100.0
+    """Where 10 % of reflectance is just detected, without rain."""
+    farthest_m: Annotated[float, Meta(ge=1, le=2000, title="Longest range", extra={"unit": "m"})] = 250.0
+    """Nothing is listened for beyond."""
+    blind_m: Annotated[float, Meta(ge=0, le=50, title="Blind up to", extra={"unit": "m"})] = 0.9
+    """Nearer, the receiver doesn't see the beam. Up to `clear_m` it sees a share of it that grows evenly."""
+    clear_m: Annotated[float, Meta(gt=0, le=50, title="Sees all from", extra={"unit": "m"})] = 1.0
+    least_reflectance: Annotated[float, Meta(ge=0, le=0.1, title="Least reflectance")] = 3e-4
+    """Less is detected at no distance: receivers turn their gain down for near echoes. 0 is a constant gain.
+
+    Makers don't state it, and the number of false returns hangs on it: near drops send back 1e-5 to 1e-3 of a beam. At
+    a constant gain one in twelve returns of RainSense's sensor at 9.2 mm/h would be a drop, and there is none: it has
+    1e-4 or more.
+    """
+    beam_mm: Annotated[float, Meta(ge=8, le=100, title="Beam at the window", extra={"unit": "mm"})] = 12.0
+    """Diameter; not less than the largest drop's."""
+    divergence_mrad: Annotated[float, Meta(ge=0, le=20, title="Divergence", extra={"unit": "mrad"})] = 3.0
+    """Full angle."""
+    pulse_m: Annotated[float, Meta(gt=0, le=5, title="Pulse", extra={"unit": "m"})] = 0.75
+    """Half the pulse's length: echoes closer together than this are one. 5 ns."""
+    range_sigma_m: Annotated[float, Meta(ge=0, le=1, title="Range noise", extra={"unit": "m"})] = 0.05
+    """Standard deviation of the range of an echo that is just detected."""
+
+    def __post_init__(self) -> None:
+        if not all(-_STEEPEST_DEG <= each <= _STEEPEST_DEG for each in self.elevations_deg):
+            raise ValueError(f"elevations_deg must be within -{_STEEPEST_DEG:g}..{_STEEPEST_DEG:g}")
+        if self.clear_m < self.blind_m:
+            raise ValueError(f"clear_m must be at least blind_m, got {self.clear_m} and {self.blind_m}")
+
+    def beam_width_m(self, range_m: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
+        """Diameter of the beam: sqrt(d0^2 + (divergence r)^2), evenly bright inside."""
+        return np.hypot(1e-3 * self.beam_mm, 1e-3 * self.divergence_mrad * np.asarray(range_m, np.float64))
+
+    def overlap(self, range_m: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
+        """Share of the beam that the receiver sees, 0..1 (Rasshofer et al. 2011)."""
+        span = max(self.clear_m - self.blind_m, 1e-9)
+        return np.clip((np.asarray(range_m, np.float64) - self.blind_m) / span, 0, 1)
+
+    def detectable(self, range_m: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
+        """Least reflectance that is detected in clear air, of what fills the beam squarely; infinite where blind."""
+        by_distance = STATED_REFLECTANCE * (np.asarray(range_m, np.float64) / self.range_m) ** 2
+        overlap = self.overlap(range_m)
+        least = np.maximum(by_distance, self.least_reflectance) / np.maximum(overlap, 1e-9)
+        return np.where(overlap > 0, least, np.inf)
+
+    def signal(
+        self, range_m: Float[np.ndarray, "*n"], reflectance: Float[np.ndarray, "*n"], extinction_per_m: float
+    ) -> Float64[np.ndarray, "*n"]:
+        """Power received, in multiples of what is just detected; `reflectance` with the cosine of incidence in it."""
+        through = np.exp(-2 * extinction_per_m * np.asarray(range_m, np.float64))
+        return np.asarray(reflectance, np.float64) / self.detectable(range_m) * through
+
+    def range_sigma(self, signal: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
+        """Standard deviation of a range in metres, at a signal of 1 or more.
+
+        Timing goes with the root of the signal-to-noise ratio (Skolnik; Kilic et al. 2021, LISA, use the same).
+        """
+        return self.range_sigma_m / np.sqrt(np.asarray(signal, np.float64))
+
+
+def _even(low: float, high: float, count: int) -> tuple[float, ...]:
+    return tuple(float(each) for each in np.linspace(low, high, count).round(3))
+
+
+SENSORS: dict[str, LidarSensor] = {
+    "32": LidarSensor(
+        name="32 beams, 905 nm, 50 m at 10 %", elevations_deg=_even(-30.67, 10.67, 32), range_m=50.0, farthest_m=100.0
+    ),
+    "64": LidarSensor(
+        name="64 beams, 905 nm, 80 m at 10 %",
+        elevations_deg=_even(-24.8, 2.0, 64),
+        range_m=80.0,
+        farthest_m=150.0,
+        divergence_mrad=2.0,
+    ),
+    "128": LidarSensor(
+        name="128 beams, 905 nm, 200 m at 10 %",
+        elevations_deg=_even(-25.0, 15.0, 128),
+        range_m=200.0,
+        farthest_m=300.0,
+        divergence_mrad=1.5,
+        beam_mm=15.0,
+    ),
+    "1550": LidarSensor(
+        name="forward, 80 rows, 1550 nm, 250 m at 10 %",
+        elevations_deg=_even(-15.0, 10.0, 80),
+        azimuth_step_deg=0.15,
+        azimuth_limit_deg=60.0,
+        wavelength_nm=1550,
+        range_m=250.0,
+        farthest_m=500.0,
+        divergence_mrad=1.0,
+        beam_mm=25.0,
+    ),
+}
+"""Classes of sensors as they are built, by their number of beams or their wavelength; none is a maker's."""
+
+# § The beams of one turn of a lidar, and what each hits in clear air.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beams:
+    """Beams in the world (metres, z up), and their echoes in clear air."""
+
+    time_s: float
+    origin_m: Float64[np.ndarray, "3"]
+    directions: Float64[np.ndarray, "n 3"]
+    """Unit."""
+    ranges_m: Float64[np.ndarray, " n"]
+    """Infinite where nothing comes back."""
+    points_m: Float32[np.ndarray, "n 3"]
+    """What is hit; the origin where nothing is."""
+    reflectances: Float64[np.ndarray, " n"]
+    """Of what is hit, with the cosine of incidence in it: 1 is white, matt and square to the beam."""
+    road_cosines: Float64[np.ndarray, " n"]
+    """Cosine of incidence on the road; 0 for what is not the road."""
+    untouched: Bool[np.ndarray, " n"]
+    """Echoes that rain leaves alone: of the own vehicle, and placeholders for beams without one."""
+    intensities: Float32[np.ndarray, " n"] | None = None
+    """As the data set has them."""
+    full_intensity: float = 1.0
+    """Intensity of what is white, matt and square to the beam."""
+
+    def __len__(self) -> int:
+        return len(self.ranges_m)
+
+    @property
+    def is_echo(self) -> Bool[np.ndarray, " n"]:
+        """Which beams come back in clear air, less those that rain leaves alone."""
+        return np.isfinite(self.ranges_m) & ~self.untouched
+
+    def heard_by(self, sensor: LidarSensor) -> "Beams":
+        """Return the beams with those echoes alone that a sensor detects in clear air."""
+        echo = self.is_echo
+        signal = sensor.signal(np.where(echo, self.ranges_m, 1.0), self.reflectances, 0.0)
+        lost = echo & ((signal < 1) | (self.ranges_m > sensor.farthest_m))
+        points = np.where(lost[:, None], self.origin_m.astype(np.float32), self.points_m)
+        return replace(self, ranges_m=np.where(lost, np.inf, self.ranges_m), points_m=points)

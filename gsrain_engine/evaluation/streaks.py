@@ -1,0 +1,401 @@
+"""Single rain streaks in the frames of a camera that stands still: where, how long, how wide, how bright.
+
+A streak is found as a line: the residual (frame minus temporal median) is averaged along short lines of twelve
+directions, the best direction is compared with its noise, and what stands out is split into connected components. Each
+is then measured in the residual itself by its moments: its angle, and length, width and rise of the box that has them.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+
+from ..rain.simulation import Rainfall
+from ..render.cpu.renderer import CpuRenderer
+from ..render.draw import Shot, rain_in
+from ..scene.camera import Camera
+from ..scene.geometry import linear_to_srgb, srgb_to_linear
+from ..scene.scene import Scene
+
+LINE_PX = 15
+"""Length of the lines that streaks are sought with."""
+
+FALL_BY_DIAMETER_S = 0.3e-3
+"""D/V of the drops that make visible streaks."""
+
+_DIRECTIONS = 12
+
+_ACROSS_SIGMA_PX = 1.0
+
+_EDGE_Z, _PEAK_Z = 4.0, 7.0
+"""A component is where a line stands out by so many standard deviations of its noise, and somewhere by so many."""
+
+_LEAST_ELONGATION = 3.0
+
+_LEAST_LENGTH_PX = 6.0
+
+_MARGIN_PX = 2
+
+_CORE_SHARE = 0.3
+
+_MAD_TO_SIGMA = 1.4826
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StreakTable:
+    """Streaks, one a row; those that the picture's edge cuts off are left out. Levels are grey levels of 255."""
+
+    frame: Int64[np.ndarray, " n"]
+    center_px: Float64[np.ndarray, "n 2"]
+    """x to the right, y down; the first pixel's centre is (0, 0)."""
+    angle_deg: Float64[np.ndarray, " n"]
+    """From the vertical, within -90..90; positive where the lower end is farther right."""
+    length_px: Float64[np.ndarray, " n"]
+    width_px: Float64[np.ndarray, " n"]
+    rise_levels: Float64[np.ndarray, " n"]
+    """Over the background, averaged over length and width."""
+    background_levels: Float64[np.ndarray, " n"]
+    coverage_px2: Float64[np.ndarray, " n"]
+    """Integral of alpha over the streak, if light adds linearly: a drop's cross-section in the picture."""
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def __getitem__(self, chosen: Bool[np.ndarray, " n"]) -> "StreakTable":
+        return StreakTable(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+    @property
+    def opacity(self) -> Float64[np.ndarray, " n"]:
+        """Coverage over length and width: the mean alpha of the streak."""
+        return self.coverage_px2 / (self.length_px * self.width_px)
+
+    @property
+    def exposure_s(self) -> Float64[np.ndarray, " n"]:
+        """Shutter time that a streak tells by itself, at any distance and however blurred.
+
+        Its coverage C is pi/4 (f D/d)^2 and its length L is f V T/d, so T = (D/V) sqrt(pi L^2 / (4 C)). D/V, the time
+        that a drop takes to fall by its own diameter, hardly depends on D: 0.25-0.38 ms for 1-3 mm (Atlas et al.,
+        1973). A blur adds as much to the square of the length as to that of the width; it is taken off.
+        """
+        squared = np.maximum(self.length_px**2 - self.width_px**2, 0)
+        return FALL_BY_DIAMETER_S * np.sqrt(np.pi / 4 * squared / self.coverage_px2)
+
+
+class _Box(NamedTuple):
+    x: float
+    y: float
+    angle_deg: float
+    length_px: float
+    width_px: float
+    rise_levels: float
+
+
+# § What moves before a camera that stands still: frames minus their temporal median, and statistics of that.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residuals:
+    """Grey levels (0-255) of a camera that stands still."""
+
+    median: UInt8[np.ndarray, "h w"]
+    """Of each pixel over time."""
+    values: Float32[np.ndarray, "t h w"]
+    """Frame minus median, after the frame's own common shift (automatic exposure) is taken out."""
+    sigma: Float32[np.ndarray, "h w"]
+    """Typical deviation around each pixel, 1.4826 times the median of |value|: noise, as rain is in few frames."""
+    still: Bool[np.ndarray, "h w"]
+    """Where nothing but noise and rain moves."""
+
+
+def find_streaks(found: Residuals, drop_levels: float, *, darker: bool = False) -> StreakTable:
+    """Find and measure bright streaks; `drop_levels` is the display level of a drop's own light, about that of the sky.
+
+    `darker` seeks streaks below the background instead: before dark backgrounds rain makes none, so their number says
+    how many of the bright ones are not rain.
+    """
+    sign = -1.0 if darker else 1.0
+    rows = [row for number in range(len(found.values)) for row in _in_frame(found, number, sign, drop_levels)]
+    table = np.array(rows, np.float64).reshape(-1, 9)
+    return StreakTable(
+        table[:, 0].astype(np.int64), table[:, 1:3], *(np.ascontiguousarray(table[:, k]) for k in range(3, 9))
+    )
+
+
+def coverage(
+    background_levels: Float32[np.ndarray, "*n"], rise_levels: Float32[np.ndarray, "*n"], drop_levels: float
+) -> Float32[np.ndarray, "*n"]:
+    """Alpha that lifts a background so far where light adds linearly: (dec(B + r) - dec(B)) / (dec(S) - dec(B))."""
+    before = srgb_to_linear(background_levels / 255)
+    light = float(srgb_to_linear(np.array([drop_levels / 255]))[0])
+    after = srgb_to_linear((background_levels + rise_levels) / 255)
+    return ((after - before) / np.maximum(light - before, 0.02)).astype(np.float32)
+
+
+def _in_frame(found: Residuals, number: int, sign: float, drop_levels: float) -> Iterator[tuple[float, ...]]:
+    values = np.where(found.still, np.float32(sign) * found.values[number], np.float32(0))
+    z = _line_response(values / found.sigma)
+    quiet = z[found.still]
+    middle = float(np.median(quiet))
+    z = (z - middle) / max(_MAD_TO_SIGMA * float(np.median(np.abs(quiet - middle))), 1e-6)
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats((z > _EDGE_Z).astype(np.uint8), connectivity=8)
+    height, width = values.shape
+    light = coverage(found.median.astype(np.float32), sign * values, drop_levels)
+    for label in range(1, count):
+        left, top, w, h = (int(v) for v in boxes[label, :4])
+        if left == 0 or top == 0 or left + w == width or top + h == height:
+            continue
+        rows = slice(max(top - _MARGIN_PX, 0), top + h + _MARGIN_PX)
+        columns = slice(max(left - _MARGIN_PX, 0), left + w + _MARGIN_PX)
+        part = (rows, columns)
+        own, others = labels[part] == label, ~np.isin(labels[part], (0, label))
+        response = np.where(own, z[part], np.float32(0))
+        if response.max() < _PEAK_Z:
+            continue
+        own = _grown(_core(response)) & ~others
+        box, covered = _box(values[part], own), sign * float(light[part][own].sum())
+        if box is None or covered <= 0 or box.length_px < max(_LEAST_LENGTH_PX, _LEAST_ELONGATION * box.width_px):
+            continue
+        background = float(np.median(found.median[part][own]))
+        x, y, *shape = box
+        yield (number, x + columns.start, y + rows.start, *shape, background, covered)
+
+
+def _core(response: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """What is connected to the peak above a share of it: lines that merely cross a bright streak stand out as well."""
+    _, pieces = cv2.connectedComponents((response > _CORE_SHARE * response.max()).astype(np.uint8), connectivity=8)
+    return pieces == pieces.flat[int(response.argmax())]
+
+
+def _grown(own: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Add the flanks that the threshold cut off."""
+    return cv2.dilate(own.astype(np.uint8), np.ones((2 * _MARGIN_PX + 1,) * 2, np.uint8)) > 0
+
+
+def _line_response(values: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Largest over the directions of the mean along a short line."""
+    best = np.full(values.shape, -np.inf, np.float32)
+    for kernel in _line_kernels():
+        np.maximum(best, cv2.filter2D(values, -1, kernel), out=best)
+    return best
+
+
+@cache
+def _line_kernels() -> tuple[Float32[np.ndarray, "k k"], ...]:
+    reach = LINE_PX // 2
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    kernels: list[Float32[np.ndarray, "k k"]] = []
+    for angle in np.pi / _DIRECTIONS * np.arange(_DIRECTIONS):
+        along, across = x * np.sin(angle) + y * np.cos(angle), x * np.cos(angle) - y * np.sin(angle)
+        kernel = np.exp(-((across / _ACROSS_SIGMA_PX) ** 2) / 2) * (np.abs(along) <= reach)
+        kernels.append((kernel / kernel.sum()).astype(np.float32))
+    return tuple(kernels)
+
+
+def _box(values: Float32[np.ndarray, "h w"], own: Bool[np.ndarray, "h w"]) -> _Box | None:
+    """Centre x and y, angle, length, width and rise of the box with the moments of some pixels; None for noise."""
+    y, x = np.nonzero(own)
+    weights = values[own].astype(np.float64)
+    total = float(weights.sum())
+    if total <= 0:
+        return None
+    cx, cy = float(weights @ x) / total, float(weights @ y) / total
+    dx, dy = x - cx, y - cy
+    xx, xy, yy = (float(weights @ each) / total for each in (dx * dx, dx * dy, dy * dy))
+    half_difference, middle = np.hypot((xx - yy) / 2, xy), (xx + yy) / 2
+    if middle - half_difference <= 0:
+        return None
+    # The long axis is (sin a, cos a) in x and y, so a is measured from the vertical.
+    angle = np.degrees(np.arctan2(2 * xy, yy - xx) / 2)
+    length, width = np.sqrt(12 * (middle + half_difference)), np.sqrt(12 * (middle - half_difference))
+    return _Box(cx, cy, float(angle), float(length), float(width), total / float(length * width))
+
+
+# § Streaks in numbers: how many, and quantiles and histograms of their angle, length, width, rise and exposure.
+
+DARK_BAND = (32.0, 64.0)
+"""Backgrounds before which single streaks are compared: above what a camera's tone curve crushes to black, and dark."""
+
+BANDS = ((0.0, 16.0), (16.0, 32.0), DARK_BAND, (64.0, 96.0), (96.0, 140.0))
+"""Backgrounds before which streaks are looked at by brightness, to see how light adds."""
+
+STEEP_DEG = 45.0
+"""Lines that lean more are branches or ripples, not rain."""
+
+LENGTH_EDGES_PX = (0, 10, 20, 30, 40, 60, 80, 120, 160, 240, 1e4)
+
+ANGLE_EDGES_DEG = tuple(range(-45, 46, 5))
+
+_QUANTILES = (10, 50, 90)
+
+Quantiles = tuple[float, float, float]
+"""The values that 10, 50 and 90 % lie below; NaN where there is no streak."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreakStatistics:
+    """Over the streaks before backgrounds of one band of grey levels; where nothing else moves."""
+
+    band_levels: tuple[float, float]
+    """Backgrounds counted in, up to but without the second."""
+    streaks: int
+    darker: int
+    """Found by the same search turned round, below the background: about as many of the streaks are not rain."""
+    megapixels: float
+    """Searched: pixels of the band times frames."""
+    per_megapixel: float
+    angle_deg: Quantiles
+    length_px: Quantiles
+    width_px: Quantiles
+    rise_levels: Quantiles
+    opacity: Quantiles
+    exposure_s: Quantiles
+    """That the streaks tell by themselves (see StreakTable)."""
+    length_histogram: tuple[int, ...]
+    """Counts between LENGTH_EDGES_PX."""
+    angle_histogram: tuple[int, ...]
+    """Counts between ANGLE_EDGES_DEG."""
+
+
+def streak_statistics(
+    bright: StreakTable, darker: StreakTable, found: Residuals, band: tuple[float, float] = DARK_BAND
+) -> StreakStatistics:
+    """Summarize what `find_streaks` found in residuals, once bright and once `darker`."""
+    low, high = band
+    chosen, control = _within(bright, band), len(_within(darker, band))
+    pixels = int(np.count_nonzero(found.still & (found.median >= low) & (found.median < high)))
+    searched = 1e-6 * pixels * len(found.values)
+    return StreakStatistics(
+        band_levels=band,
+        streaks=len(chosen),
+        darker=control,
+        megapixels=searched,
+        per_megapixel=len(chosen) / searched if searched else 0.0,
+        angle_deg=_quantiles(chosen.angle_deg),
+        length_px=_quantiles(chosen.length_px),
+        width_px=_quantiles(chosen.width_px),
+        rise_levels=_quantiles(chosen.rise_levels),
+        opacity=_quantiles(chosen.opacity),
+        exposure_s=_quantiles(chosen.exposure_s),
+        length_histogram=tuple(int(n) for n in np.histogram(chosen.length_px, LENGTH_EDGES_PX)[0]),
+        angle_histogram=tuple(int(n) for n in np.histogram(chosen.angle_deg, ANGLE_EDGES_DEG)[0]),
+    )
+
+
+def _within(table: StreakTable, band: tuple[float, float]) -> StreakTable:
+    background = table.background_levels
+    return table[(background >= band[0]) & (background < band[1]) & (np.abs(table.angle_deg) <= STEEP_DEG)]
+
+
+def _quantiles(values: Float64[np.ndarray, " n"]) -> Quantiles:
+    if not len(values):
+        return (np.nan, np.nan, np.nan)
+    low, middle, high = np.percentile(values, _QUANTILES)
+    return float(low), float(middle), float(high)
+
+
+VISIBLE_LEVELS = 8
+"""A pixel counts as changed where it differs from its median by more grey levels than this."""
+
+RESTLESS_LEVELS = 4.5
+"""Where the typical deviation is larger, something moves in most frames: leaves, water, people. Rain is in few."""
+
+_LEAST_SIGMA = 0.5  # of a level: a grey value is a whole number
+
+_RESTLESS_MARGIN_PX = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResidualStatistics:
+    """Over all frames of the still pixels; shares are of those pixels, levels are grey levels of 255."""
+
+    frames: int
+    still_share: float
+    """Of all pixels."""
+    background_levels: float
+    """Median over the still pixels of their temporal median."""
+    noise_levels: float
+    """Median over the still pixels of their typical deviation."""
+    std_levels: float
+    share_above: float
+    """More than VISIBLE_LEVELS over the median."""
+    share_below: float
+    """As much under the median: before a dark background no rain does this."""
+
+
+def residuals(frames: UInt8[np.ndarray, "t h w"]) -> Residuals:
+    """Take the temporal median from grey frames. Raises ValueError for fewer than 5 frames: their median holds rain."""
+    if len(frames) < 5:
+        raise ValueError(f"{len(frames)} frames: a temporal median free of rain takes at least 5")
+    middle = len(frames) // 2
+    median = np.partition(frames, middle, axis=0)[middle]
+    values = frames.astype(np.float32) - median
+    values -= np.median(values.reshape(len(values), -1), axis=1).astype(np.float32)[:, None, None]
+    # Grey levels are whole numbers: only neighbours together tell a deviation to better than 1.5 levels.
+    sigma = cv2.blur(_MAD_TO_SIGMA * np.partition(np.abs(values), middle, axis=0)[middle], (7, 7)).astype(np.float32)
+    restless = (sigma > RESTLESS_LEVELS).astype(np.uint8)
+    around = np.ones((2 * _RESTLESS_MARGIN_PX + 1,) * 2, np.uint8)
+    still = cv2.dilate(restless, around) == 0
+    return Residuals(median, values, np.maximum(sigma, np.float32(_LEAST_SIGMA)), still)
+
+
+def residual_statistics(found: Residuals) -> ResidualStatistics:
+    """Summarize residuals. Raises ValueError where no pixel is still."""
+    if not found.still.any():
+        raise ValueError("no pixel stands still in these frames: choose another window")
+    values = found.values[:, found.still]
+    return ResidualStatistics(
+        frames=len(values),
+        still_share=float(found.still.mean()),
+        background_levels=float(np.median(found.median[found.still])),
+        noise_levels=float(np.median(found.sigma[found.still])),
+        std_levels=float(values.std()),
+        share_above=float((values > VISIBLE_LEVELS).mean()),
+        share_below=float((values < -VISIBLE_LEVELS).mean()),
+    )
+
+
+# § Our rain in front of a photograph: what a renderer would give if the scene behind the rain were that picture.
+
+Window = tuple[int, int, int, int]
+"""Left, top, width, height of a part of a picture, in pixels."""
+
+_NO_SCENE = Scene("no scene", (), up=(0.0, 0.0, 1.0))
+
+
+def cropped(camera: Camera, window: Window) -> Camera:
+    """Return the camera that sees only a window of this one's picture."""
+    x, y, width, height = window
+    return replace(camera, cx=camera.cx - x, cy=camera.cy - y, width=width, height=height)
+
+
+def rain_frames(
+    background: UInt8[np.ndarray, "h w"],
+    noise_levels: Float32[np.ndarray, "h w"],
+    camera: Camera,
+    rainfall: Rainfall,
+    times_s: Sequence[float],
+    drop_levels: float,
+) -> Iterator[UInt8[np.ndarray, "h w"]]:
+    """Render grey frames of a camera that stands still (world: metres, z up) before a background behind all rain.
+
+    `drop_levels` is a drop's display level (0-255). With W the rain's share of a pixel as the renderer composites it,
+    B the background and S the drop's light: enc((1 - W) dec(B) + W S), or mixed as display values where the rain says
+    so; then white noise of the given standard deviation, seeded by the rain's seed, and whole grey levels.
+    """
+    shot = Shot(camera)
+    display, drop = background.astype(np.float32) / 255, drop_levels / 255
+    linear = rainfall.rain.rain_light == "linear"
+    encode, decode = (linear_to_srgb, srgb_to_linear) if linear else (np.asarray, np.asarray)
+    behind, light = decode(display), float(decode(np.array([drop]))[0])
+    random = np.random.default_rng(rainfall.rain.seed)
+    renderer = CpuRenderer()
+    for time_s in times_s:
+        renderer.draw([], camera, rain_in(_NO_SCENE, rainfall, (1.0, 1.0, 1.0), replace(shot, time_s=float(time_s))))
+        share = renderer.read().rgba[..., 3]
+        mixed = 255 * encode((1 - share) * behind + share * light)
+        noisy = mixed + noise_levels * random.standard_normal(background.shape, np.float32)
+        yield np.clip(np.rint(noisy), 0, 255).astype(np.uint8)

@@ -1,0 +1,102 @@
+"""Files that the program ships: shaders, and YAML files by name; or a person's own YAML file by path."""
+
+import os
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any, TypeVar
+
+from .safe_io.errors import converted
+from .safe_io.text_files import read_whole, yaml_values
+
+_Config = TypeVar("_Config")
+
+
+def shipped_folder(name: str) -> Path:
+    """Return the folder `shaders` or `sample_configs`.
+
+    An installed program has them inside of this package; in a source tree they are beside it.
+    """
+    package = Path(__file__).parent
+    inside = package / name
+    return inside if inside.is_dir() else package.parent / name
+
+
+def shipped_names(folder: str) -> list[str]:
+    """Names of the shipped files of a folder, in the order of the alphabet."""
+    files = (shipped_folder("sample_configs") / folder).iterdir()
+    return sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml"))
+
+
+def load_config(
+    folder: str,
+    name: str | Path,
+    kind: type[_Config],
+    what: str,
+    files: Collection[str] = (),
+    known: Collection[str] = (),
+) -> _Config:
+    """Read a file as a type that msgspec knows; `what` it is begins the sentence where it is not found.
+
+    Its fields `files` name files, which count from its own folder (`standing_beside`), but for `known` names. Raises
+    ValueError with the file, the field and what is allowed, OSError where it can't be read.
+    """
+    data = _data(folder, str(name), what)
+    try:
+        values = yaml_values(data)
+        if str(name) not in shipped_names(folder):
+            values = _beside(values, Path(name).parent, files, known)
+        return converted(values, kind)
+    except ValueError as error:
+        where = f"{what} {name}" if str(name) in shipped_names(folder) else name
+        raise ValueError(f"{where}: {error}") from None
+
+
+def load_values(
+    folder: str, name: str | Path, what: str, files: Collection[str] = (), known: Collection[str] = ()
+) -> dict[str, Any]:
+    """Read a file's fields unchecked, for what goes on top of them; the rest is as in `load_config`."""
+    values = load_config(folder, name, object, what, files, known)
+    if not isinstance(values, dict):
+        raise ValueError(f"{name}: expected a YAML mapping of settings such as `steps: 1500`")
+    return {str(key): value for key, value in values.items()}
+
+
+def standing_beside(folder: Path, name: str) -> str:
+    """Return a name that counts from a folder as it counts from the working folder; as it is if nothing stands there.
+
+    A name that goes on behind `.py:` names something in a Python file.
+    """
+    file, python, _ = name.partition(".py:")
+    place = folder / (f"{file}.py" if python else name)
+    is_there = os.path.exists(place)  # noqa: PTH110  that of Path raises where a name is too long
+    return os.path.normpath(folder / name) if name and is_there else name
+
+
+def _beside(values: Any, folder: Path, files: Collection[str], known: Collection[str]) -> Any:
+    """Return plain values with the names in the fields `files`, at any depth, as they count from the working folder."""
+    if isinstance(values, list):
+        return [_beside(each, folder, files, known) for each in values]
+    if not isinstance(values, dict):
+        return values
+    return {
+        key: _named(each, folder, files, known) if key in files else _beside(each, folder, files, known)
+        for key, each in values.items()
+    }
+
+
+def _named(value: Any, folder: Path, files: Collection[str], known: Collection[str]) -> Any:
+    if isinstance(value, list):
+        return [_named(each, folder, files, known) for each in value]
+    if isinstance(value, str):
+        return value if value in known else standing_beside(folder, value)
+    return _beside(value, folder, files, known)
+
+
+def _data(folder: str, name: str, what: str) -> bytes:
+    if name in shipped_names(folder):
+        return (shipped_folder("sample_configs") / folder / f"{name}.yaml").read_bytes()
+    path = Path(name)
+    if not path.exists():
+        known = ", ".join(shipped_names(folder))
+        raise ValueError(f"{what} {name}: no such file, and none of the shipped ones ({known})")
+    return read_whole(path)

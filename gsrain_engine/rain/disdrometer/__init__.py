@@ -1,1 +1,0 @@
-"""Measured rain: drop spectra from disdrometer files, and what can be trusted in them."""

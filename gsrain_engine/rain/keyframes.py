@@ -1,0 +1,282 @@
+"""How the rain changes over time: keys on a timeline and what stands between them, saved with a scene."""
+
+import logging
+import math
+from bisect import bisect_left
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Annotated, Any, Literal, TypeVar
+
+import msgspec
+import numpy as np
+import scipy
+from jaxtyping import Float64
+from msgspec import Meta
+
+from ..safe_io.errors import converted
+from ..scene.scene import Scene
+from .settings import Rain
+
+Keyed = Literal["intensity_mm_h", "wind_m_s", "exposure_s"]
+
+KEYED: tuple[Keyed, ...] = ("intensity_mm_h", "wind_m_s", "exposure_s")
+"""Fields of the rain that can have keys."""
+
+HEAVIEST_MM_H = 100.0
+"""Nothing rains harder here: measured series are cut off there."""
+
+LONGEST_S = 1e7
+"""The last time that a key can have; the first is as long before 0."""
+
+
+class WeatherKey(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """What is set at one time. None is not set there: that field goes on from its own keys."""
+
+    time_s: Annotated[float, Meta(title="Time", description="In the scene's time.", extra={"unit": "s"})]
+    intensity_mm_h: float | None = None
+    wind_m_s: tuple[float, float] | None = None
+    exposure_s: float | None = None
+
+    def __post_init__(self) -> None:
+        intensity, wind, exposure = self.intensity_mm_h, self.wind_m_s, self.exposure_s
+        if not -LONGEST_S <= self.time_s <= LONGEST_S:
+            raise ValueError(f"time_s must be within -1e7..1e7 s, got {self.time_s}")
+        if intensity is not None and not 0 <= intensity <= HEAVIEST_MM_H:
+            raise ValueError(f"intensity_mm_h must be within 0..100 mm/h, got {intensity}")
+        if wind is not None and not (-40 <= wind[0] <= 40 and -40 <= wind[1] <= 40):
+            raise ValueError(f"wind_m_s must be within -40..40 m/s on each axis, got {wind}")
+        if exposure is not None and not 1e-5 <= exposure <= 1:
+            raise ValueError(f"exposure_s must be within 0.00001..1 s, got {exposure}")
+
+    @property
+    def is_empty(self) -> bool:
+        return self.intensity_mm_h is None and self.wind_m_s is None and self.exposure_s is None
+
+
+# § A keyed quantity over time: straight between its knots, held before the first and after the last.
+
+
+@dataclass(frozen=True, eq=False)
+class WeatherCurve:
+    """A piecewise linear function of time with k components. Integrals of it are exact."""
+
+    times_s: Float64[np.ndarray, " n"]
+    """Rising."""
+    values: Float64[np.ndarray, "n k"]
+
+    @classmethod
+    def through(
+        cls, times_s: Float64[np.ndarray, " n"], values: Float64[np.ndarray, "n k"], *, smooth: bool = False
+    ) -> "WeatherCurve":
+        """Join keys; `smooth` rounds the corners by a cubic that overshoots no key (Fritsch and Carlson, 1980)."""
+        pieces = min(_PIECES, _MOST_KNOTS // len(times_s))
+        if not smooth or len(times_s) < 2 or pieces < 2:
+            return cls(times_s, values)
+        # One more key at each end, as high as the end: the curve then comes out of what is held before it.
+        reach = times_s[-1] - times_s[0]
+        along = np.concatenate([[times_s[0] - reach], times_s, [times_s[-1] + reach]])
+        with np.errstate(over="ignore"):  # one over a slope that is next to nothing
+            rounded = scipy.interpolate.PchipInterpolator(along, np.concatenate([values[:1], values, values[-1:]]))
+        shares = np.arange(pieces) / pieces
+        inner = (times_s[:-1, None] + shares * np.diff(times_s)[:, None]).ravel()
+        knots = np.append(inner, times_s[-1])
+        drawn = rounded(knots)
+        drawn[::pieces] = values  # to the bit
+        return cls(knots, np.clip(drawn, values.min(axis=0), values.max(axis=0)))
+
+    def at(self, time_s: float) -> Float64[np.ndarray, " k"]:
+        before = self.before(time_s)
+        if before < 0:
+            return self.values[0]
+        if before == len(self.times_s) - 1:
+            return self.values[-1]
+        share = (time_s - self.times_s[before]) / (self.times_s[before + 1] - self.times_s[before])
+        return self.values[before] + share * (self.values[before + 1] - self.values[before])
+
+    def integral(self, time_s: float) -> Float64[np.ndarray, " k"]:
+        """Integral over time from 0 to a time."""
+        return self._from_first(time_s) - self._from_first_to_zero
+
+    def before(self, time_s: float) -> int:
+        """Number of the last knot that is not later than a time; -1 before the first."""
+        return int(np.searchsorted(self.times_s, time_s, side="right")) - 1
+
+    @cached_property
+    def _sums(self) -> Float64[np.ndarray, "n k"]:
+        steps = 0.5 * (self.values[1:] + self.values[:-1]) * np.diff(self.times_s)[:, None]
+        return np.concatenate([np.zeros((1, self.values.shape[1])), np.cumsum(steps, axis=0)])
+
+    @cached_property
+    def _from_first_to_zero(self) -> Float64[np.ndarray, " k"]:
+        return self._from_first(0.0)
+
+    def _from_first(self, time_s: float) -> Float64[np.ndarray, " k"]:
+        knot = max(self.before(time_s), 0)
+        mean = 0.5 * (self.values[knot] + self.at(time_s))
+        return self._sums[knot] + mean * (time_s - self.times_s[knot])
+
+
+class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True, dict=True):
+    """Keys of the rain in order of time, each time once. Before a field's first key and after its last its value stays.
+
+    Raises `ValueError` for keys that are out of order.
+    """
+
+    keys: tuple[WeatherKey, ...] = ()
+    between: Annotated[
+        Literal["linear", "smooth"],
+        Meta(
+            title="Between keys", description="linear: straight. smooth: rounded, never beyond the keys on either side."
+        ),
+    ] = "linear"
+
+    def __post_init__(self) -> None:
+        for before, after in pairwise(self.keys):
+            if before.time_s >= after.time_s:
+                raise ValueError(f"keys must rise in time, got {before.time_s} s before {after.time_s} s")
+
+    @cached_property
+    def curves(self) -> dict[Keyed, WeatherCurve]:
+        found: dict[Keyed, WeatherCurve] = {}
+        for name in KEYED:
+            set_there = [key for key in self.keys if getattr(key, name) is not None]
+            if set_there:
+                times = self.key_times[name]
+                values = np.array([getattr(key, name) for key in set_there], np.float64).reshape(len(times), -1)
+                found[name] = WeatherCurve.through(times, values, smooth=self.between == "smooth")
+        return found
+
+    @cached_property
+    def times_s(self) -> Float64[np.ndarray, " n"]:
+        return np.array([key.time_s for key in self.keys], np.float64)
+
+    def is_keyed(self, name: str) -> bool:
+        """Whether a field of the rain has a key at any time."""
+        return name in self.curves
+
+    def key_at(self, time_s: float) -> WeatherKey | None:
+        """Return the key of a time; None where there is none."""
+        at = bisect_left(self.keys, time_s, key=_time)
+        return self.keys[at] if at < len(self.keys) and self.keys[at].time_s == time_s else None
+
+    def rain_at(self, rain: Rain, time_s: float) -> Rain:
+        """Return the rain of a time: what is keyed from the curves, the rest as it is."""
+        if not self.keys:
+            return rain
+        changes = {name: _plain(curve.at(time_s)) for name, curve in self.curves.items()}
+        return msgspec.structs.replace(rain, **changes)
+
+    def heaviest_mm_h(self, rain: Rain) -> float:
+        """Highest intensity that is reached at any time."""
+        curve = self.curves.get("intensity_mm_h")
+        return rain.intensity_mm_h if curve is None else float(curve.values.max())
+
+    def with_key(self, time_s: float, **fields: Any) -> "Weather":
+        """Return the weather with fields set at a time, beside what is set there already."""
+        present = self.key_at(time_s)
+        key = WeatherKey(time_s=time_s, **fields) if present is None else msgspec.structs.replace(present, **fields)
+        return self._with(*(each for each in self.keys if each is not present), key)
+
+    def without_key(self, time_s: float, name: Keyed | None = None) -> "Weather":
+        """Return the weather without the key of a time, or without one field of it."""
+        present = self.key_at(time_s)
+        if present is None:
+            return self
+        kept = [each for each in self.keys if each is not present]
+        if name is not None:
+            kept.append(msgspec.structs.replace(present, **{name: None}))
+        return self._with(*(each for each in kept if not each.is_empty))
+
+    def without(self, name: Keyed) -> "Weather":
+        """Return the weather without any key of a field."""
+        bare = (msgspec.structs.replace(key, **{name: None}) for key in self.keys)
+        return self._with(*(key for key in bare if not key.is_empty))
+
+    def moved_key(self, time_s: float, to_s: float, name: Keyed, **fields: Any) -> "Weather":
+        """Return the weather with one field's key at another time, and changed; a key it meets there gives way."""
+        key = self.key_at(time_s)
+        if key is None or getattr(key, name) is None:
+            return self
+        value = fields.get(name, getattr(key, name))
+        return self.without_key(time_s, name).with_key(to_s, **{name: value})
+
+    @cached_property
+    def key_times(self) -> dict[Keyed, Float64[np.ndarray, " n"]]:
+        """Times of each field's keys, rising; empty where it has none."""
+        return {
+            name: np.array([key.time_s for key in self.keys if getattr(key, name) is not None], np.float64)
+            for name in KEYED
+        }
+
+    def _with(self, *keys: WeatherKey) -> "Weather":
+        return Weather(keys=tuple(sorted(keys, key=_time)), between=self.between)
+
+
+def _time(key: WeatherKey) -> float:
+    return key.time_s
+
+
+def _plain(value: Float64[np.ndarray, " k"]) -> float | tuple[float, ...]:
+    numbers = [float(each) for each in value]
+    return numbers[0] if len(numbers) == 1 else tuple(numbers)
+
+
+_PIECES = 16
+"""A smooth stretch between two keys is drawn with so many straight pieces: 1/300 of its height off at most."""
+
+_MOST_KNOTS = 200_000
+
+WITHOUT_CHANGE = Weather()
+"""Without keys: the rain stays as it is set."""
+
+
+def from_series(times_s: Float64[np.ndarray, " n"], rates_mm_h: Float64[np.ndarray, " n"]) -> Weather:
+    """Return the weather of a series of rates; what is above 100 mm/h is cut off there.
+
+    Raises `ValueError` for times that don't rise, or numbers that are no rain rates.
+    """
+    if not np.all(np.isfinite(rates_mm_h)) or np.any(rates_mm_h < 0):
+        raise ValueError("rain rates must be 0 mm/h or more")
+    pairs = zip(times_s.tolist(), np.minimum(rates_mm_h, HEAVIEST_MM_H).tolist(), strict=True)
+    return Weather(keys=tuple(WeatherKey(time_s=time, intensity_mm_h=rate) for time, rate in pairs))
+
+
+def passing_shower(
+    start_s: float = 0.0, *, duration_s: float = 60.0, peak_mm_h: float = 12.0, steps: int = 6
+) -> Weather:
+    """Return a shower that comes, is heaviest in the middle and goes: R = R_max sin^2(pi t / T)."""
+    keys = (
+        WeatherKey(
+            time_s=start_s + duration_s * k / steps,
+            intensity_mm_h=round(peak_mm_h * math.sin(math.pi * k / steps) ** 2, 6),
+        )
+        for k in range(steps + 1)
+    )
+    return Weather(keys=tuple(keys), between="smooth")
+
+
+# § The rain and the weather that were saved with a scene, as plain values.
+
+logger = logging.getLogger("gsrain")
+
+Saved = TypeVar("Saved", Rain, Weather)
+
+
+def rain_of(scene: Scene) -> Rain | None:
+    """Return the rain that a scene was saved with; None without, or where it can't be used, which is logged."""
+    return _read(scene, "rain", scene.rain, Rain)
+
+
+def weather_of(scene: Scene) -> Weather | None:
+    """Return the weather that a scene was saved with; None without, or where it can't be used, which is logged."""
+    return _read(scene, "weather", scene.weather, Weather)
+
+
+def _read(scene: Scene, what: str, values: Mapping[str, Any] | None, kind: type[Saved]) -> Saved | None:
+    try:
+        return None if values is None else converted(values, kind)
+    except msgspec.ValidationError as error:
+        logger.error("%s: the scene's %s can't be used: %s", scene.name, what, error)
+        return None

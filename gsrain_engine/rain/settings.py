@@ -1,0 +1,265 @@
+"""What a person asks for: one value with every knob of the rain, its bounds, unit and help text."""
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from ..presets import load_config, shipped_names
+from .calibration import calibration_names
+
+Vector = tuple[float, float, float]
+
+CALIBRATED_UP_TO_MM_H = 13.0
+"""Above this the published calibration is an extrapolation, and everything that shows R says so."""
+
+
+class Box(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An axis-aligned box in the anchor's frame (x forward, y left, z up, origin 1.5 m above the road), in metres."""
+
+    minimum_m: Vector
+    maximum_m: Vector
+
+    def __post_init__(self) -> None:
+        for low, high, axis in zip(self.minimum_m, self.maximum_m, "xyz", strict=True):
+            if not (-1000 <= low < high <= 1000):
+                raise ValueError(f"box needs -1000 <= minimum < maximum <= 1000 m on {axis}, got {low} and {high}")
+
+    @property
+    def size_m(self) -> Vector:
+        x, y, z = (high - low for low, high in zip(self.minimum_m, self.maximum_m, strict=True))
+        return x, y, z
+
+    @property
+    def center_m(self) -> Vector:
+        x, y, z = ((high + low) / 2 for low, high in zip(self.minimum_m, self.maximum_m, strict=True))
+        return x, y, z
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume in cubic metres."""
+        x, y, z = self.size_m
+        return x * y * z
+
+
+STREAK_REGION = Box(minimum_m=(-1.0, -3.0, -1.5), maximum_m=(5.0, 3.0, 4.5))
+
+HAZE_REGION = Box(minimum_m=(-10.0, -10.0, -1.5), maximum_m=(60.0, 10.0, 20.5))
+
+
+class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Everything that rain depends on. The defaults are physical; docs/physics.md gives the reason for each."""
+
+    intensity_mm_h: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=100,
+            title="Intensity",
+            description="Rainfall intensity R (eq. 8). Calibrated up to 13 mm/h.",
+            extra={"unit": "mm/h"},
+        ),
+    ] = 0.0
+    exposure_s: Annotated[
+        float | None,
+        Meta(
+            title="Exposure",
+            description="Shutter time T (eq. 5); none takes the camera's own (4 ms by day).",
+            extra={"unit": "s", "ge": 1e-5, "le": 1.0},
+        ),
+    ] = None
+    seed: Annotated[int, Meta(ge=0, le=2**32 - 1, title="Seed", description="Same seed and time, same drops.")] = 0
+
+    streaks: Annotated[bool, Meta(title="Streaks", description="Draw near drops as streaks (eq. 10-12).")] = True
+    haze: Annotated[bool, Meta(title="Haze", description="Draw far drops as haze (eq. 6, 7).")] = True
+    roofs: Annotated[
+        bool, Meta(title="Roofs", description="Keep rain from under bridges, canopies and trees; looks for them once.")
+    ] = False
+    streak_region: Annotated[Box, Meta(title="Streak region", description="Where drops are simulated one by one.")] = (
+        STREAK_REGION
+    )
+    haze_region: Annotated[Box, Meta(title="Haze region", description="Where drops are haze Gaussians.")] = HAZE_REGION
+
+    wind_m_s: Annotated[
+        tuple[float, float],
+        Meta(
+            title="Wind",
+            description="Horizontal wind along world x and y.",
+            extra={"unit": "m/s", "ge": -40.0, "le": 40.0},
+        ),
+    ] = (0.0, 0.0)
+    gust_m_s: Annotated[
+        float,
+        Meta(ge=0, le=20, title="Gusts", description="Amplitude of the wind's slow variation.", extra={"unit": "m/s"}),
+    ] = 0.0
+
+    calibration: Annotated[
+        str, Meta(title="Calibration", description="Name of a shipped calibration, or a calibration file.")
+    ] = "published"
+    closure: Annotated[
+        Literal["density", "published"],
+        Meta(title="Closure", description="density: as many drops as the intensity needs. published: the table as is."),
+    ] = "density"
+    velocity: Annotated[
+        Literal["calibration", "atlas"],
+        Meta(title="Fall speed", description="V(D) (eq. 9): the calibration's fit, or Atlas 1973."),
+    ] = "calibration"
+
+    streak_frame: Annotated[
+        Literal["camera", "world"],
+        Meta(title="Streak frame", description="camera: streaks follow the drop's motion seen from the moving camera."),
+    ] = "camera"
+    rain_light: Annotated[
+        Literal["linear", "display"],
+        Meta(title="Light", description="linear: a drop's light adds in linear space. display: the paper's mixing."),
+    ] = "linear"
+    far_drops: Annotated[
+        Literal["haze", "published"],
+        Meta(title="Far drops", description="haze: far drops are haze only. published: drawn with the haze opacity."),
+    ] = "haze"
+    streak_reset: Annotated[
+        Literal["lattice", "paper"],
+        Meta(title="Streak reset", description="lattice: uniform density. paper: drops re-enter at the top only."),
+    ] = "lattice"
+    haze_reset: Annotated[
+        Literal["fade", "paper"],
+        Meta(title="Haze reset", description="fade: come and go slowly. paper: jump each frame."),
+    ] = "fade"
+
+    critical_haze_coefficient: Annotated[
+        float,
+        Meta(
+            ge=0.1,
+            le=50,
+            title="Critical haze coefficient",
+            description="phi (eq. 6, 7): drops beyond phi f D are haze.",
+        ),
+    ] = 2.0
+    max_copies: Annotated[
+        int,
+        Meta(
+            ge=1,
+            le=16,
+            title="Gaussians a streak",
+            description="n_max (eq. 10-12): at most so many Gaussians a streak.",
+        ),
+    ] = 4
+    haze_opacity: Annotated[
+        float,
+        Meta(ge=0.001, le=0.5, title="Haze opacity", description="alpha_m (eq. 7): largest alpha of a haze Gaussian."),
+    ] = 0.05
+    haze_sigma_m: Annotated[
+        float,
+        Meta(
+            ge=0.05,
+            le=5,
+            title="Haze size",
+            description="s_h: standard deviation of a haze Gaussian.",
+            extra={"unit": "m"},
+        ),
+    ] = 0.5
+    haze_count: Annotated[
+        int | None,
+        Meta(
+            title="Haze Gaussians",
+            description="M: none takes as many as the extinction needs, and splits them up to be smooth.",
+            extra={"ge": 0, "le": 200_000},
+        ),
+    ] = None
+    haze_gain: Annotated[
+        float, Meta(ge=0, le=50, title="Haze gain", description="Multiplies the extinction; 1 is physical.")
+    ] = 1.0
+    streak_gain: Annotated[
+        float,
+        Meta(ge=0, le=50, title="Streak gain", description="Multiplies the streaks' opacity (eq. 5); 1 is physical."),
+    ] = 1.0
+    aperture_mm: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=50,
+            title="Aperture",
+            description="Diameter of the lens opening; drops out of focus blur with it. 0 is a pinhole: all sharp.",
+            extra={"unit": "mm"},
+        ),
+    ] = 0.0
+    focus_distance_m: Annotated[
+        float,
+        Meta(
+            ge=0.2,
+            le=10_000,
+            title="Focus distance",
+            description="Where the lens is focused. Matters with an aperture above 0.",
+            extra={"unit": "m"},
+        ),
+    ] = 10.0
+    drop_color: Annotated[
+        tuple[float, float, float] | None,
+        Meta(
+            title="Drop colour", description="Display colour of a drop (eq. 3); none takes the mean of the scene's sky."
+        ),
+    ] = None
+
+    wetness: Annotated[
+        float | None,
+        Meta(
+            title="Wetness",
+            description="Share of the soaked colours, 0..1; none follows the intensity (docs/physics.md, 11).",
+            extra={"ge": 0.0, "le": 1.0},
+        ),
+    ] = None
+    drying_s: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=7200,
+            title="Drying",
+            description="Time in which what is wet dries to 1/e when the rain gets weaker; 0 dries at once.",
+            extra={"unit": "s"},
+        ),
+    ] = 0.0
+
+    def __post_init__(self) -> None:
+        if self.wetness is not None and not 0 <= self.wetness <= 1:
+            raise ValueError(f"wetness must be within 0..1, got {self.wetness}")
+        if self.exposure_s is not None and not 1e-5 <= self.exposure_s <= 1:
+            raise ValueError(f"exposure_s must be within 0.00001..1 s, got {self.exposure_s}")
+        if self.haze_count is not None and not 0 <= self.haze_count <= 200_000:
+            raise ValueError(f"haze_count must be within 0..200000, got {self.haze_count}")
+        if any(not -40 <= component <= 40 for component in self.wind_m_s):
+            raise ValueError(f"wind_m_s must be within -40..40 m/s on each axis, got {self.wind_m_s}")
+        if self.drop_color is not None and any(not 0 <= channel <= 1 for channel in self.drop_color):
+            raise ValueError(f"drop_color must be within 0..1 a channel, got {self.drop_color}")
+
+    @property
+    def without_rain(self) -> "Rain":
+        """The same at 0 mm/h and dry: what a clear picture beside a rainy one shows."""
+        return msgspec.structs.replace(self, intensity_mm_h=0.0, wetness=None)
+
+    @property
+    def exaggeration(self) -> str:
+        """Say in words where gains leave physics, empty where they don't."""
+        gains = {"streaks": self.streak_gain, "haze": self.haze_gain}
+        return ", ".join(f"{name} x{gain:g} exaggerated" for name, gain in gains.items() if gain != 1)
+
+
+# § Rain presets: YAML files with the fields of `Rain`, those left out at their defaults.
+
+_FOLDER = "rain"
+
+_ORDER = ("clear", "1.2", "8.5", "12.0", "paper")
+
+
+def preset_names() -> list[str]:
+    """Names of the shipped presets, weakest first."""
+    names = shipped_names(_FOLDER)
+    return [name for name in _ORDER if name in names] + [name for name in names if name not in _ORDER]
+
+
+def load_preset(name: str) -> Rain:
+    """Load a shipped preset by name, or a preset file by path.
+
+    A calibration file that it names is looked for in its own folder first. Raises `ValueError` with the file, the field
+    and the allowed range.
+    """
+    return load_config(_FOLDER, name, Rain, "preset", ("calibration",), calibration_names())

@@ -1,0 +1,201 @@
+"""Where rain does not reach: the scene seen from above, as the height of the roof over each cell of a grid."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from jaxtyping import Bool, Float32, Float64, Int32
+
+from ..scene.flags import Mask
+from ..scene.gaussians import Gaussians, scene_cache
+from ..scene.geometry import matrices_from_quaternions
+from ..scene.scene import Layer, Part, Scene, robust_bounds
+
+CELL_M = 0.5
+"""Edge of a cell: about the distance between the Gaussians of a captured surface, and less than any canopy."""
+
+CLEARANCE_M = 2.0
+"""A roof has something solid at least so far below it; the road has not, whatever its slope."""
+
+_SOLID = np.log(2)
+"""Optical depth, seen from above, at which a surface counts: floaters alone don't reach it."""
+
+_MOST_CELLS = 2048
+"""On a side; of a larger scene, the middle."""
+
+_MOST_GAUSSIANS = 1_000_000
+"""Of more than these every so manieth is taken, for as many as it stands for."""
+
+_CHUNK = 1 << 16
+
+_DRAWS = np.random.default_rng(0).standard_normal((64, 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Roofs:
+    """Heights of roofs over the world's x and y. World frame, metres, z up."""
+
+    heights_m: Float32[np.ndarray, "rows columns"]
+    """Rows along y, columns along x; -inf in the open."""
+    corner_m: tuple[float, float]
+    """x and y of the outer corner of the first cell."""
+    cell_m: float = CELL_M
+
+    def shelter(self, positions_m: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Say which places are under a roof."""
+        column, row = np.floor((positions_m[:, :2] - self.corner_m) / self.cell_m).astype(np.int64).T
+        rows, columns = self.heights_m.shape
+        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        sheltered = np.zeros(len(positions_m), np.bool_)
+        sheltered[inside] = positions_m[inside, 2] < self.heights_m[row[inside], column[inside]]
+        return sheltered
+
+    def around(self, x_m: float, y_m: float, reach_m: float) -> "Roofs | None":
+        """Return the piece that covers a circle; None where all of it is in the open."""
+        low = np.floor((np.array([x_m, y_m]) - reach_m - self.corner_m) / self.cell_m).astype(int)
+        high = np.ceil((np.array([x_m, y_m]) + reach_m - self.corner_m) / self.cell_m).astype(int)
+        low, high = np.maximum(low, 0), np.maximum(high, 0)
+        piece = self.heights_m[low[1] : high[1], low[0] : high[0]]
+        if not np.any(np.isfinite(piece)):
+            return None
+        corner = np.array(self.corner_m) + low * self.cell_m
+        return Roofs(np.ascontiguousarray(piece), (float(corner[0]), float(corner[1])), self.cell_m)
+
+
+class _Grid(NamedTuple):
+    corner_m: Float64[np.ndarray, "2"]
+    columns: int
+    rows: int
+
+
+class _Points(NamedTuple):
+    """Pieces of Gaussians."""
+
+    cells: Int32[np.ndarray, " n"]
+    heights_m: Float32[np.ndarray, " n"]
+    depths: Float32[np.ndarray, " n"]
+    """Optical depth that a piece adds to its cell, seen from above."""
+
+
+class _Solid(NamedTuple):
+    """What of a layer roofs are found in: a selection, a grading or a name change nothing about them."""
+
+    gaussians: Gaussians
+    to_world: bytes
+    left_out: Mask | None
+    opacity: float
+
+
+def roofs_of(scene: Scene) -> Roofs | None:
+    """Find the roofs of what stands still and can be seen in a scene, sky apart; None where there are none.
+
+    Those of the last two scenes are kept: a split view shows as many.
+    """
+    layers = [layer for layer in scene.layers if layer.visible and layer.kind == "background"]
+    ways = [np.ascontiguousarray(scene.scene_to_world @ layer.to_scene).tobytes() for layer in layers]
+    return _roofs_of_solids(tuple(map(_solid, layers, ways)))
+
+
+def _solid(layer: Layer, to_world: bytes) -> _Solid:
+    return _Solid(layer.gaussians, to_world, layer.marks.left_out, layer.opacity)
+
+
+@scene_cache(maxsize=2)
+def _roofs_of_solids(solids: tuple[_Solid, ...]) -> Roofs | None:
+    ways = [np.frombuffer(each.to_world).reshape(4, 4) for each in solids]
+    return find_roofs(
+        [
+            Part(each.gaussians, way, left_out=each.left_out, opacity=each.opacity)
+            for each, way in zip(solids, ways, strict=True)
+        ]
+    )
+
+
+def find_roofs(parts: Sequence[Part]) -> Roofs | None:
+    """Find roofs among Gaussians; None where there are none.
+
+    From above, the optical depth of the Gaussians is added up in each cell. Where it reaches ln 2 is the highest
+    surface, and from below the lowest. The highest is a roof if it is `CLEARANCE_M` above the lowest, and belongs to a
+    patch: seven of nine cells around it or around a neighbour. So a wall, a lamp post or a lone floater is none.
+    """
+    parts = [part._replace(gaussians=part.remaining, left_out=None) for part in parts]
+    parts = [part for part in parts if len(part.gaussians)]
+    if not parts:
+        return None
+    grid = _grid(parts)
+    pieces = [points for part in parts for points in _points(part, grid)]
+    cells, heights, depths = (np.concatenate(column) for column in zip(*pieces, strict=True))
+    highest = _roof_candidates(_Points(cells, heights, depths), grid)
+    core = scipy.ndimage.rank_filter(highest, rank=2, size=3, mode="constant", cval=-np.inf)
+    neighbour = scipy.ndimage.maximum_filter(core, size=3, mode="constant", cval=-np.inf)
+    roofs = np.maximum(core, np.minimum(highest, neighbour))
+    if not np.any(np.isfinite(roofs)):
+        return None
+    return Roofs(roofs, (float(grid.corner_m[0]), float(grid.corner_m[1])))
+
+
+def _grid(parts: Sequence[Part]) -> _Grid:
+    """Cells over where most Gaussians are."""
+    boxes = [robust_bounds(part.gaussians, share=0.999) for part in parts]
+    corners = np.concatenate([_corners(np.stack(box)) @ p.to_world[:3, :3].T + p.to_world[:3, 3]
+                              for box, p in zip(boxes, parts, strict=True)])[:, :2]  # fmt: skip
+    low, high = corners.min(axis=0) - CELL_M, corners.max(axis=0) + CELL_M
+    size = np.minimum(np.ceil((high - low) / CELL_M), _MOST_CELLS).astype(int)
+    return _Grid((low + high) / 2 - size * CELL_M / 2, int(size[0]), int(size[1]))
+
+
+def _corners(box: Float64[np.ndarray, "2 3"]) -> Float64[np.ndarray, "8 3"]:
+    return np.stack([each.ravel() for each in np.meshgrid(*box.T)], axis=1)
+
+
+def _points(part: Part, grid: _Grid) -> Iterator[_Points]:
+    """Take Gaussians apart into points: small ones into one, large ones into many that are strewn like them."""
+    g, to_world = part.gaussians, part.to_world
+    step = -(-len(g) // _MOST_GAUSSIANS)
+    for first in range(0, len(g), _CHUNK * step):
+        chunk = g.take(slice(first, first + _CHUNK * step, step))
+        means, axes = _in_world(chunk, to_world)
+        flat = axes[:, :2] @ axes[:, :2].transpose(0, 2, 1)
+        shadow_m2 = 2 * np.pi * np.sqrt(np.maximum(np.linalg.det(flat), 0))
+        depth = step * chunk.opacities * shadow_m2 / CELL_M**2
+        longest = np.sqrt(np.maximum(flat[:, 0, 0], flat[:, 1, 1]))
+        for count, least, most in ((1, 0.0, 0.3), (8, 0.3, 0.8), (64, 0.8, np.inf)):
+            own = np.flatnonzero((longest >= least * CELL_M) & (longest < most * CELL_M))
+            draws = _DRAWS[:count] - _DRAWS[:count].mean(axis=0)
+            places = means[own, None] + np.einsum("kj,nij->nki", draws, axes[own])
+            yield _in_cells(places.reshape(-1, 3), np.repeat(depth[own] / count, count), grid)
+
+
+def _in_world(
+    gaussians: Gaussians, to_world: Float64[np.ndarray, "4 4"]
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3 3"]]:
+    """Centres, and axes as long as their standard deviations (columns), in metres."""
+    turn = matrices_from_quaternions(gaussians.quaternions.astype(np.float64))
+    axes = to_world[:3, :3] @ (turn * gaussians.scales[:, None, :])
+    return gaussians.means @ to_world[:3, :3].T + to_world[:3, 3], axes
+
+
+def _in_cells(places_m: Float64[np.ndarray, "n 3"], depths: Float64[np.ndarray, " n"], grid: _Grid) -> _Points:
+    column, row = np.clip(np.floor((places_m[:, :2] - grid.corner_m) / CELL_M), -1, _MOST_CELLS).astype(np.int64).T
+    inside = (column >= 0) & (column < grid.columns) & (row >= 0) & (row < grid.rows)
+    cells = (row[inside] * grid.columns + column[inside]).astype(np.int32)
+    return _Points(cells, places_m[inside, 2].astype(np.float32), depths[inside].astype(np.float32))
+
+
+def _roof_candidates(points: _Points, grid: _Grid) -> Float32[np.ndarray, "rows columns"]:
+    """Height of the highest solid surface of each cell that has room below it; -inf elsewhere."""
+    order = np.lexsort((-points.heights_m, points.cells))
+    cells, heights, depths = (column[order] for column in points)
+    first = np.searchsorted(cells, np.arange(grid.rows * grid.columns + 1))
+    total = np.concatenate([[0.0], np.cumsum(depths, dtype=np.float64)])
+    above = total[:-1] - total[first[cells]]  # what is over a point in its own cell
+    below = total[first[cells + 1]] - total[1:]
+    highest, lowest = (np.full(grid.rows * grid.columns, -np.inf) for _ in range(2))
+    for surface, beyond in ((highest, above), (lowest, below)):
+        reached = (beyond < _SOLID) & (beyond + depths >= _SOLID)
+        surface[cells[reached]] = heights[reached]
+    with np.errstate(invalid="ignore"):
+        is_roof = highest - lowest >= CLEARANCE_M
+    return np.where(is_roof, highest, -np.inf).astype(np.float32).reshape(grid.rows, grid.columns)

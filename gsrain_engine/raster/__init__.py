@@ -1,1 +1,0 @@
-"""Rasterization on the CPU: projection, tiles, compositing, and compositing's transpose."""

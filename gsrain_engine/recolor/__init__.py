@@ -1,0 +1,1 @@
+"""New colors for fixed geometry: the weighted least squares behind `gsrain recolor`."""

@@ -1,0 +1,342 @@
+"""A recolouring as a least-squares problem: unknown harmonics of what any view sees, their prior, and the views."""
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Float64, Int64
+from msgspec import Meta, Struct
+
+from ..scene.gaussians import SH_C0
+from .solver import TIKHONOV, ColorTarget, Step, colors_seen, solve_colors
+from .views import NO_CHANGE, SeenView, ViewAffine, view_affines
+
+_HALF = np.float32(0.5)
+
+_FROZEN = np.float32(1e9)
+"""Pull that keeps a harmonic where it is."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProblemView:
+    """A view with its splats among the unknowns."""
+
+    seen: SeenView
+    indices: Int64[np.ndarray, " m"]
+    basis: Float32[np.ndarray, "m k"]
+
+    def picture(self, sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "h w 3"]:
+        """Premultiplied picture of harmonics, in the linear model."""
+        return self.seen.weights.blend(_HALF + colors_seen(sh, self.indices, self.basis))
+
+    def shown(self, sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "h w 3"]:
+        """Picture as renderers show it, no splat's colour below 0, over what is there; what isn't is the target's."""
+        colors = np.maximum(_HALF + colors_seen(sh, self.indices, self.basis), np.float32(0))
+        over = (1 - self.seen.alpha[..., None]) * self.seen.target.image
+        return np.clip(self.seen.weights.blend(colors) + over, 0, 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Colours, and what was found out about the views on the way."""
+
+    sh: Float32[np.ndarray, "n k 3"]
+    affines: tuple[ViewAffine, ...]
+    """What each picture's own exposure and white balance is."""
+    trust: Float64[np.ndarray, " v"]
+    """How far each view agrees with the others, 0 to 1."""
+
+
+# § What a person can choose about a recolouring.
+
+
+class RecolorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How colours are solved for."""
+
+    iterations: Annotated[int, Meta(ge=1, le=200, title="Iterations")] = 12
+    """Steps of conjugate gradients in all."""
+    rounds: Annotated[int, Meta(ge=1, le=10, title="Rounds")] = 2
+    """Times that exposures and trust are worked out anew; the iterations are shared out among them."""
+    sh_degree: Annotated[int, Meta(ge=0, le=3, title="Degree of harmonics")] = 3
+    """Highest degree that is solved for; a scene's own degree is never exceeded."""
+    tikhonov: Annotated[float, Meta(ge=1e-6, le=1e6)] | None = None
+    """Pull towards the mapped clear colours: evidence with which a Gaussian goes half the way; none has it chosen by
+    views that are left out for a moment."""
+    directional: Annotated[float, Meta(ge=0, le=1e3, title="Pull on directions")] = 4.0
+    """How much stronger the pull is on each harmonic above degree 0."""
+    per_view: Annotated[float, Meta(ge=0, le=10, title="Pull by views")] = 0.1
+    """Further pull on harmonics above degree 0, as a share of one view's evidence: that can't tell directions."""
+    exposure: bool = True
+    """Whether each picture has an exposure and white balance of its own."""
+    robust: bool = True
+    """Whether pictures and pixels that disagree with the others count less."""
+    memory_mb: Annotated[float, Meta(ge=0, title="Memory", extra={"unit": "MB"})] = 4096.0
+    """Room for stored weights; views beyond it walk their tiles anew each time. With 0 solving for the street, 24 views
+    640 px wide, took seven times as long, all of it 1.2 times the processor's time, and 0.73 of the memory."""
+
+    @property
+    def iterations_by_round(self) -> list[int]:
+        """Iterations of each round: as even as can be, the last ones longer."""
+        rounds = min(self.rounds, self.iterations)
+        return [self.iterations * (i + 1) // rounds - self.iterations * i // rounds for i in range(rounds)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColorProblem:
+    """Unknowns are the Gaussians that any view sees, in the order of all members' Gaussians."""
+
+    rows: Int64[np.ndarray, " n"]
+    """Row of each unknown among the Gaussians of all members."""
+    views: tuple[ProblemView, ...]
+    held_out: tuple[ProblemView, ...]
+    """Views that have no say."""
+    prior: Float32[np.ndarray, "n k 3"]
+    one_view: Float32[np.ndarray, " n"]
+    """Mean evidence (sum of squared weights) of each Gaussian in one view."""
+
+    def pull(self, settings: RecolorSettings) -> Float32[np.ndarray, "n k 1"]:
+        """Pull towards the prior by evidence.
+
+        Above degree 0 the evidence of one view adds its share: however many pixels a single view has of a Gaussian, it
+        shows it from one side.
+        """
+        tikhonov = TIKHONOV if settings.tikhonov is None else settings.tikhonov
+        pull = np.full((*self.prior.shape[:2], 1), tikhonov, np.float32)
+        pull[:, 1:, 0] = tikhonov * settings.directional + settings.per_view * self.one_view[:, None]
+        pull[:, (settings.sh_degree + 1) ** 2 :] = _FROZEN
+        return pull
+
+    def solve(self, settings: RecolorSettings) -> Generator[Step, None, Solution]:
+        """Solve for colours; exposures are found first, trust is worked out anew before each round.
+
+        Yields:
+            The solver's steps; their `change` is from the prior.
+        """
+        sh = self.prior
+        affines, pull = (NO_CHANGE,) * len(self.views), self.pull(settings)
+        if settings.exposure and len(self.views) > 1:
+            affines = _affines(self.views, len(self.rows))
+        solution = Solution(sh, affines, np.ones(len(self.views)))
+        for turn, iterations in enumerate(settings.iterations_by_round):
+            pictures = [view.picture(solution.sh) for view in self.views]
+            solution, targets = self._weighed(solution, pictures, settings, is_first=turn == 0)
+            offset = solution.sh - self.prior
+            solver = solve_colors(targets, len(self.rows), iterations, pull, offset)
+            change = offset
+            for step in solver:
+                change = offset + step.change
+                yield Step(step.length, change)
+            solution = Solution(self.prior + change, solution.affines, solution.trust)
+        return solution
+
+    def first_targets(self, settings: RecolorSettings) -> list[ColorTarget]:
+        """What the views say while their exposures are taken for equal, and nothing has been solved for."""
+        beginning = Solution(self.prior, (NO_CHANGE,) * len(self.views), np.ones(len(self.views)))
+        pictures = [view.picture(self.prior) for view in self.views]
+        return self._weighed(beginning, pictures, settings, is_first=True)[1]
+
+    def _weighed(
+        self, solution: Solution, pictures: Sequence[Float32[np.ndarray, "_ _ 3"]], settings: RecolorSettings,
+        *, is_first: bool,
+    ) -> tuple[Solution, list[ColorTarget]]:  # fmt: skip
+        """Work out trust from the pictures of the colours so far, and with it what is wanted."""
+        affines, trust = solution.affines, solution.trust
+        counted = [view.seen.counted for view in self.views]
+        residuals = [
+            affine.undone(view.seen.target.image) * view.seen.alpha[..., None] - picture
+            for view, picture, affine in zip(self.views, pictures, affines, strict=True)
+        ]
+        by_pixel = [each.astype(np.float32) for each in counted]
+        if settings.robust:
+            spreads = [spread(residual, own) for residual, own in zip(residuals, counted, strict=True)]
+            trust = view_trust(spreads)
+            # Before colours have been solved for, a pixel far off is only one that has changed.
+            typical = 1e6 if is_first else float(np.median(spreads))
+            by_pixel = [
+                np.float32(of_view) * own * pixel_trust(residual, typical)
+                for of_view, own, residual in zip(trust, by_pixel, residuals, strict=True)
+            ]
+        targets = [
+            ColorTarget(view.seen.weights, view.indices, view.basis, residual, pixels)
+            for view, residual, pixels in zip(self.views, residuals, by_pixel, strict=True)
+        ]
+        return Solution(solution.sh, affines, trust), targets
+
+
+def _affines(views: Sequence[ProblemView], count: int) -> tuple[ViewAffine, ...]:
+    counted = [view.seen.counted.astype(np.float32)[..., None] for view in views]
+    seen = [
+        view.seen.weights.accumulate(own * view.seen.target.image) for view, own in zip(views, counted, strict=True)
+    ]
+    evidence = [
+        np.ascontiguousarray(view.seen.weights.accumulate(np.repeat(own, 3, axis=2))[:, 0])
+        for view, own in zip(views, counted, strict=True)
+    ]
+    return tuple(view_affines(seen, evidence, [view.indices for view in views], count))
+
+
+# § What happens to colours on average, by kind of surface: the guess for Gaussians that no view shows well.
+
+SURFACES = ("sky", "ground", "other")
+"""Kinds of surface, each with a change of its own."""
+
+_FEWEST_PIXELS = 200.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColorChange:
+    """An affine map of display colour a kind of surface: new = matrix @ old + offset."""
+
+    matrices: Float64[np.ndarray, "3 3 3"]
+    offsets: Float64[np.ndarray, "3 3"]
+
+    def of_sh(
+        self, sh: Float32[np.ndarray, "n k 3"], shares: Float32[np.ndarray, "n 3"]
+    ) -> Float32[np.ndarray, "n k 3"]:
+        """Change harmonics; `shares` (sky, ground, other; sum 1) says what each Gaussian is."""
+        changed = np.zeros_like(sh)
+        for surface in range(len(SURFACES)):
+            matrix, offset = self.matrices[surface].astype(np.float32), self.offsets[surface]
+            moved = sh @ matrix.T
+            # Colour is 0.5 + C0 sh[0] + ...: the 0.5 goes through the map as well.
+            moved[:, 0] += ((matrix.sum(axis=1) * 0.5 + offset - 0.5) / SH_C0).astype(np.float32)
+            changed += shares[:, surface, None, None] * moved
+        return changed
+
+    def of_colors(
+        self, colors: Float32[np.ndarray, "p 3"], shares: Float32[np.ndarray, "p 3"]
+    ) -> Float32[np.ndarray, "p 3"]:
+        """Change display colours; `shares` (sky, ground, other) need not add up to 1."""
+        changed = np.zeros_like(colors)
+        total = np.maximum(shares.sum(axis=1), np.float32(1e-6))
+        for surface in range(len(SURFACES)):
+            moved = colors @ self.matrices[surface].T.astype(np.float32) + self.offsets[surface].astype(np.float32)
+            changed += (shares[:, surface] / total)[:, None] * moved
+        return changed
+
+
+def fit_color_change(
+    clear: Sequence[Float32[np.ndarray, "_ 3"]],
+    changed: Sequence[Float32[np.ndarray, "_ 3"]],
+    shares: Sequence[Float32[np.ndarray, "_ 3"]],
+) -> ColorChange:
+    """Fit the maps to pixels (display colours, one entry a view) by least squares, weighted by the pixels' `shares`.
+
+    A kind of surface with too few pixels gets the map of all pixels together.
+    """
+    x = np.concatenate([np.concatenate(list(clear)), np.ones((sum(map(len, clear)), 1), np.float32)], axis=1)
+    y = np.concatenate(list(changed))
+    weights = np.concatenate(list(shares))
+    everything = _fit(x, y, weights.sum(axis=1))
+    maps = [
+        _fit(x, y, weights[:, surface]) if weights[:, surface].sum() >= _FEWEST_PIXELS else everything
+        for surface in range(len(SURFACES))
+    ]
+    return ColorChange(np.stack([each[:3].T for each in maps]), np.stack([each[3] for each in maps]))
+
+
+def _fit(
+    x: Float32[np.ndarray, "p 4"], y: Float32[np.ndarray, "p 3"], weights: Float[np.ndarray, " p"]
+) -> Float64[np.ndarray, "4 3"]:
+    """Weighted ridge regression towards darker grey, so that one-coloured surfaces give a tame map."""
+    weighted = x.astype(np.float64) * weights[:, None]
+    total = max(float(weights.sum()), 1e-9)
+    tame = np.vstack([0.7 * np.eye(3), np.zeros(3)])
+    ridge = 1e-3 * total * np.diag([1, 1, 1, 1e-3]) + 1e-12 * np.eye(4)
+    return np.linalg.solve(weighted.T @ x + ridge, weighted.T @ y + ridge @ tame)
+
+
+# § How strongly to pull towards the mapped clear colours: what explains views best that were left out for a moment.
+
+STRENGTHS = (300.0, 30.0, 3.0, 0.3)
+"""Pulls that are tried, in evidence of a Gaussian (squared weights, summed over pixels and views)."""
+
+_SPARED = 4
+"""Every so-many-th view is left out."""
+
+_MOST_VIEWS = 16
+
+_ITERATIONS = 4
+
+
+def chosen_pull(problem: ColorProblem, settings: RecolorSettings) -> Generator[Step, None, float]:
+    """Try pulls, the strongest first, as long as views that were left out become clearer.
+
+    A scene whose geometry is right gains with hardly any pull. One that is not would paint its errors into colours
+    that fit the given views alone: there the mapped clear colours know more. With fewer than `_SPARED` views it can't
+    be told, and a middling pull is taken. Yields the solver's steps.
+    """
+    views = problem.views[:: -(-len(problem.views) // _MOST_VIEWS)]
+    spared = views[_SPARED // 2 :: _SPARED]
+    taught = tuple(view for i, view in enumerate(views) if i % _SPARED != _SPARED // 2)
+    if len(views) < _SPARED:
+        return STRENGTHS[1]
+    trial = replace(problem, views=taught, held_out=spared)
+    best, least = STRENGTHS[0], np.inf
+    targets, nothing = trial.first_targets(settings), np.zeros_like(problem.prior)
+    for strength in STRENGTHS:
+        pull = trial.pull(msgspec.structs.replace(settings, tikhonov=strength))
+        change = nothing
+        for step in solve_colors(targets, len(problem.rows), _ITERATIONS, pull, nothing):
+            change = step.change
+            yield step
+        error = float(np.median([_error(view, problem.prior + change) for view in spared]))
+        if error > least:
+            break
+        best, least = strength, error
+    return best
+
+
+def _error(view: ProblemView, sh: np.ndarray) -> float:
+    """Mean squared error of a view; 0 where no pixel counts."""
+    counted = view.seen.counted
+    difference = (view.shown(sh) - view.seen.target.image)[counted]
+    return float(np.mean(difference**2)) if counted.any() else 0.0
+
+
+# § How far pictures can be trusted that disagree with the others: weights of iteratively reweighted least squares.
+
+VIEW_LIMIT = 2.0
+"""A view whose typical error is up to so many times the median view's counts in full."""
+
+PIXEL_LIMIT = 6.0
+"""Errors beyond so many standard deviations count no longer by their square."""
+
+LEAST_SPREAD = 1 / 255
+"""What eight bits can't tell is no disagreement."""
+
+_QUANTILE, _NORMAL = 0.9, 1.645
+"""Errors are told by the largest tenth: half the pixels of a road or a wall are explained at once, and say nothing
+about how far the others may be off. Of a normal distribution that is so many standard deviations."""
+
+_SPACING_PX = 3
+"""Every third pixel each way says enough about a quantile."""
+
+
+def spread(residual: Float32[np.ndarray, "h w 3"], counted: Bool[np.ndarray, "h w"]) -> float:
+    """Typical error of a picture: the standard deviation that its quantiles tell; 0 where no pixel is counted."""
+    some = residual[::_SPACING_PX, ::_SPACING_PX][counted[::_SPACING_PX, ::_SPACING_PX]]
+    return float(np.quantile(np.abs(some), _QUANTILE)) / _NORMAL if some.size else 0.0
+
+
+def view_trust(spreads: Sequence[float]) -> Float64[np.ndarray, " v"]:
+    """Trust in each view by its spread: 1 up to the limit, then falling with the fourth power.
+
+    The error such a view adds to the sum of squares falls the further off it is (a redescending influence, as that of
+    Geman and McClure 1985): a picture that shows something else altogether has no say.
+    """
+    scaled = np.maximum(np.asarray(spreads, np.float64), LEAST_SPREAD)
+    limit = VIEW_LIMIT * np.median(scaled)
+    return (limit / np.maximum(scaled, limit)) ** 4
+
+
+def pixel_trust(residual: Float32[np.ndarray, "h w 3"], typical: float) -> Float32[np.ndarray, "h w"]:
+    """Trust in each pixel by its error, all channels together (Huber 1964): 1 up to the limit, then falling.
+
+    `typical` is the standard deviation of a channel in a view that agrees.
+    """
+    limit = np.float32(PIXEL_LIMIT * np.sqrt(3) * max(typical, LEAST_SPREAD))
+    length = np.sqrt(np.einsum("hwc,hwc->hw", residual, residual))
+    return limit / np.maximum(length, limit)

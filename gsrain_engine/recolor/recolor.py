@@ -1,0 +1,439 @@
+"""Recolours a scene to pictures: from views to new harmonics of each layer and actor, step by step."""
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+import numpy as np
+from jaxtyping import Float32
+from msgspec import Meta, Struct
+
+from ..datasets.capture import Capture
+from ..evaluation.image_metrics import psnr
+from ..evaluation.report import Curve, RunReport
+from ..evaluation.report_charts import Comparison
+from ..scene.gaussians import Gaussians
+from ..scene.progress import Progress, part_of
+from ..scene.scene import Scene
+from ..training.evaluation import held_out_indices
+from .problem import (
+    ColorChange,
+    ColorProblem,
+    ProblemView,
+    RecolorSettings,
+    Solution,
+    chosen_pull,
+    fit_color_change,
+    spread,
+    view_trust,
+)
+from .result import Member, scene_members
+from .views import SeenView, TargetView, ground_height_m, seen_view, small_picture, surface_shares, target_views
+
+_SETUP_DONE, _CHOSEN_DONE, _SOLVED_DONE = 0.4, 0.55, 0.96
+"""Shares of the whole time, measured on the built-in street with 30 views."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewReport:
+    """What came of one view."""
+
+    name: str
+    is_held_out: bool
+    trust: float
+    """How far it agrees with the others, 0 to 1; 1 where it had no say."""
+    psnr_clear_db: float
+    """Of the scene as it was, against the picture."""
+    psnr_mapped_db: float
+    """Of the clear colours after the best global map."""
+    psnr_db: float
+
+
+# § Sets a recolouring up: looks at the scene from every view, maps its clear colours, and lists the unknowns.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetUp:
+    """A problem, and what else its solution needs to become a scene's colours."""
+
+    problem: ColorProblem
+    members: tuple[Member, ...]
+    prior: dict[str, Float32[np.ndarray, "_ _ 3"]]
+    """Mapped clear harmonics by the keys of members."""
+
+    def colors(self, sh: Float32[np.ndarray, "n k 3"]) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
+        """Harmonics of every member: solved ones where a view sees the Gaussian, else the mapped clear ones."""
+        result: dict[str, Float32[np.ndarray, "_ _ 3"]] = {}
+        for member in self.members:
+            first, last = np.searchsorted(self.problem.rows, [member.rows.start, member.rows.stop])
+            own = self.prior[member.key].copy()
+            own[self.problem.rows[first:last] - member.first] = sh[first:last, : own.shape[1]]
+            result[member.key] = own
+        return result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recolored:
+    """New colours of a scene, and how close they come."""
+
+    views: tuple[ViewReport, ...]
+    setup: SetUp
+    solution: Solution
+    seconds: dict[str, float]
+    """By stage."""
+    lengths: tuple[float, ...]
+    """Of the preconditioned residual after each step, compared with the start of its round."""
+    pull: float
+    """Towards the mapped clear colours, given or chosen."""
+
+    @property
+    def colors(self) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
+        """New harmonics by the keys of members."""
+        return self.setup.colors(self.solution.sh)
+
+    @property
+    def weights_mb(self) -> float:
+        problem = self.setup.problem
+        return sum(view.seen.weights.nbytes for view in (*problem.views, *problem.held_out)) / 1e6
+
+    def with_solution(self, solution: Solution) -> "Recolored":
+        """Return the same with other colours, measured anew."""
+        return replace(self, solution=solution, views=_reports(self.setup, solution))
+
+    @property
+    def measured(self) -> list[ViewReport]:
+        """The held-out views; all of them where none was held out."""
+        return [view for view in self.views if view.is_held_out] or list(self.views)
+
+
+def recolor_scene(
+    scene: Scene, targets: Sequence[TargetView], held_out: Sequence[TargetView], settings: RecolorSettings
+) -> Generator[Progress, None, Recolored]:
+    """Solve the colours of a scene for pictures; its geometry and its clear colours stay as they are.
+
+    It can be stopped at every step: nothing is written anywhere. Stored weights are held within `settings.memory_mb`;
+    the pictures and five times the harmonics of what the views see come on top.
+
+    Raises:
+        ValueError: When there is no picture, or none shows anything of the scene.
+    """
+    started = perf_counter()
+    setup = yield from part_of(set_up(scene, targets, held_out, settings), 0.0, _SETUP_DONE)
+    ready = perf_counter()
+    pull = settings.tikhonov if settings.tikhonov is not None else (yield from _chosen(setup, settings))
+    settings = msgspec.structs.replace(settings, tikhonov=pull)
+    chosen = perf_counter()
+    solution, lengths = yield from _solved(setup, settings)
+    solved = perf_counter()
+    yield Progress(_SOLVED_DONE, "Measuring")
+    reports = _reports(setup, solution)
+    seconds = {
+        "set-up": ready - started,
+        "choosing": chosen - ready,
+        "solving": solved - chosen,
+        "measuring": perf_counter() - solved,
+    }
+    yield Progress(1.0, "Done")
+    return Recolored(reports, setup, solution, seconds, lengths, pull)
+
+
+def _chosen(setup: SetUp, settings: RecolorSettings) -> Generator[Progress, None, float]:
+    trials, done = chosen_pull(setup.problem, settings), 0
+    while True:
+        share = 1 - 0.9**done  # how many there will be shows only on the way
+        yield Progress(_SETUP_DONE + (_CHOSEN_DONE - _SETUP_DONE) * share, "Choosing how far to trust the pictures")
+        try:
+            next(trials)
+        except StopIteration as finished:
+            return finished.value
+        done += 1
+
+
+def _solved(setup: SetUp, settings: RecolorSettings) -> Generator[Progress, None, tuple[Solution, tuple[float, ...]]]:
+    problem, lengths = setup.problem, list[float]()
+    solver = problem.solve(settings)
+    yield Progress(_CHOSEN_DONE, f"Solving colours of {len(problem.rows):,} Gaussians")
+    while True:
+        try:
+            step = next(solver)
+        except StopIteration as finished:
+            return finished.value, tuple(lengths)
+        lengths.append(step.length)
+        share = _CHOSEN_DONE + (_SOLVED_DONE - _CHOSEN_DONE) * len(lengths) / settings.iterations
+        picture = problem.views[0].shown(problem.prior + step.change)
+        yield Progress(share, f"Solving colours, step {len(lengths)} of {settings.iterations}", small_picture(picture))
+
+
+def _reports(setup: SetUp, solution: Solution) -> tuple[ViewReport, ...]:
+    problem = setup.problem
+    taught = [(view, trust, False) for view, trust in zip(problem.views, solution.trust.tolist(), strict=True)]
+    measured = [*taught, *((view, 1.0, True) for view in problem.held_out)]
+    return tuple(
+        _report(view, setup, solution, trust, is_held_out=is_held_out)
+        for view, trust, is_held_out in measured
+        if view.seen.counted.any()
+    )
+
+
+def _report(view: ProblemView, setup: SetUp, solution: Solution, trust: float, *, is_held_out: bool) -> ViewReport:
+    seen = view.seen
+    clear = seen.alpha[..., None] * seen.clear + (1 - seen.alpha[..., None]) * seen.target.image
+    pictures = (np.clip(clear, 0, 1), view.shown(setup.problem.prior), view.shown(solution.sh))
+    figures = [psnr(picture, seen.target.image, seen.counted) for picture in pictures]
+    return ViewReport(seen.target.name, is_held_out, trust, *figures)
+
+
+# § A whole recolouring: a scene and a capture in, the scene with wet colours out, with the figures and the report.
+
+_READ_DONE = 0.05
+
+_COMPARED = 6
+"""Views that the report shows, at most."""
+
+_Result = TypeVar("_Result")
+
+
+class RecolorOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What to do beside solving."""
+
+    width_px: Annotated[int, Meta(ge=16, le=16384, title="Width of pictures", extra={"unit": "px"})] = 960
+    """Wider pictures are made smaller; others stay as they are."""
+    held_out: Annotated[int, Meta(ge=0, title="Held out")] = 8
+    """Every so-many-th view has no say and measures the result; 0 for none."""
+    polish: Annotated[int, Meta(ge=0, le=100_000, title="Polish steps")] = 0
+    """Steps of absolute differences and D-SSIM after least squares, on colours alone."""
+    refine: Annotated[int, Meta(ge=0, le=100_000, title="Refine steps")] = 0
+    """Steps in which all parameters move."""
+    replace_clear: bool = False
+    """Whether the new colours take the place of the clear ones, instead of standing beside them as wet ones."""
+    colors: RecolorSettings = msgspec.field(default_factory=RecolorSettings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecolorRun:
+    """What came of it."""
+
+    scene: Scene
+    recolored: Recolored
+    report: RunReport
+    numbers: dict[str, Any]
+    """What `--json` holds."""
+
+
+def recolor_to_capture(
+    scene: Scene, capture: Capture, options: RecolorOptions
+) -> Generator[Progress, None, RecolorRun]:
+    """Recolour a scene to the pictures of a capture, whose cameras are in the scene's own units and axes.
+
+    It can be stopped at every step, and has written nothing then. Raises `CaptureError` for a picture that can't be
+    read, and ValueError where the cameras are not known or see nothing of the scene.
+    """
+    if not capture.has_poses:
+        raise ValueError(f"{capture.name}: has pictures, but not where their cameras stood; name them with --capture")
+    kept = set(held_out_indices([view.name for view in capture], options.held_out))
+    targets: list[TargetView] = []
+    for target in target_views(scene, capture, options.width_px):
+        yield Progress(_READ_DONE * len(targets) / len(capture), f"Reading {target.name}")
+        targets.append(target)
+    taught, held_out = ([t for i, t in enumerate(targets) if (i in kept) == out] for out in (False, True))
+    later = (options.polish > 0) + (options.refine > 0)
+    last = 1 / (1 + 2 * later)
+    recolored = yield from part_of(recolor_scene(scene, taught, held_out, options.colors), _READ_DONE, last)
+    if options.polish:
+        middle = last + (1 - last) / later
+        recolored = yield from part_of(_polished(recolored, options), last, middle)
+        last = middle
+    gaussians: dict[str, Gaussians] = {}
+    if options.refine:
+        gaussians = yield from part_of(_refined(scene, recolored, options.refine), last, 1.0)
+    result = _with_colors(scene, recolored.colors, gaussians, replace_clear=options.replace_clear)
+    yield Progress(1.0, "Done")
+    numbers = _numbers(scene, recolored)
+    return RecolorRun(result, recolored, _run_report(scene, capture, recolored, options, numbers), numbers)
+
+
+def _with_colors(
+    scene: Scene, colors: dict[str, Float32[np.ndarray, "_ _ 3"]], refined: dict[str, Gaussians], *, replace_clear: bool
+) -> Scene:
+    for key, sh in colors.items():
+        clear = scene.member(key).gaussians
+        new = refined.get(key, clear.with_sh(sh))
+        if replace_clear:
+            scene = scene.with_member(key, gaussians=new, wet_sh=None)
+        else:
+            scene = scene.with_member(key, gaussians=new.with_sh(clear.sh), wet_sh=new.sh)
+    return scene
+
+
+def _polished(recolored: Recolored, options: RecolorOptions) -> Generator[Progress, None, Recolored]:
+    from .refine import polish  # torch is an extra
+
+    steps, done = options.polish, 0
+    solver = polish(recolored.setup.problem, recolored.solution, steps, options.colors.sh_degree)
+    while True:
+        yield Progress(done / steps, f"Polishing, step {done + 1} of {steps}")
+        try:
+            next(solver)
+        except StopIteration as finished:
+            return recolored.with_solution(replace(recolored.solution, sh=finished.value))
+        done = min(done + 1, steps - 1)
+
+
+def _refined(scene: Scene, recolored: Recolored, steps: int) -> Generator[Progress, None, dict[str, Gaussians]]:
+    from .refine import refine  # torch is an extra
+
+    members = {key: scene.member(key).gaussians.with_sh(sh) for key, sh in recolored.colors.items()}
+    problem, solution = recolored.setup.problem, recolored.solution
+    eyes = np.stack([view.seen.target.camera.position for view in problem.views])
+    size_m = max(float(np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max()) * 1.1, 1.0)
+    return (yield from refine(members, problem.views, solution, steps, size_m))
+
+
+def _numbers(scene: Scene, recolored: Recolored) -> dict[str, Any]:
+    held_out = [view for view in recolored.views if view.is_held_out]
+    taught = [view for view in recolored.views if not view.is_held_out]
+    return {
+        "seconds": round(sum(recolored.seconds.values()), 3),
+        "gaussians": scene.gaussian_count,
+        "views": len(taught),
+        "views_held_out": len(held_out),
+        "width_px": max(view.seen.target.camera.width for view in recolored.setup.problem.views),
+        "psnr_before_db": _mean([view.psnr_clear_db for view in recolored.measured]),
+        "psnr_mapped_db": _mean([view.psnr_mapped_db for view in recolored.measured]),
+        "psnr_held_out_db": _mean([view.psnr_db for view in held_out]),
+        "psnr_db": _mean([view.psnr_db for view in taught]),
+        "trust": {view.name: round(view.trust, 4) for view in taught},
+        "seconds_by_stage": {name: round(seconds, 3) for name, seconds in recolored.seconds.items()},
+        "weights_mb": round(recolored.weights_mb, 1),
+        "pull": recolored.pull,
+    }
+
+
+def _mean(figures: list[float]) -> float | None:
+    """Mean of what is finite, rounded; None where nothing is."""
+    finite = [figure for figure in figures if np.isfinite(figure)]
+    return round(float(np.mean(finite)), 3) if finite else None
+
+
+def _run_report(
+    scene: Scene, capture: Capture, recolored: Recolored, options: RecolorOptions, numbers: dict[str, Any]
+) -> RunReport:
+    problem, solution = recolored.setup.problem, recolored.solution
+    shown = (problem.held_out or problem.views)[:_COMPARED]
+    steps = np.arange(1, len(recolored.lengths) + 1)
+    plain = msgspec.to_builtins(options)
+    settings = plain.pop("colors") | plain
+    return RunReport(
+        f"Recolouring of {scene.name} to {capture.name}",
+        settings,
+        (Curve("residual", steps, np.array(recolored.lengths, np.float64), is_logarithmic=True),),
+        tuple(_comparison(view, solution) for view in shown if view.seen.counted.any()),
+        recolored.seconds,
+        {
+            "Gaussians": f"{numbers['gaussians']:,}",
+            "Clear scene": f"{numbers['psnr_before_db']} dB",
+            "After the colour map": f"{numbers['psnr_mapped_db']} dB",
+            "Held-out views" if problem.held_out else "Views": f"{_mean([v.psnr_db for v in recolored.measured])} dB",
+        },
+        capture.problems + tuple(
+            f"{view.name} disagrees with the other views: it counts {view.trust:.0%}"
+            for view in recolored.views if view.trust < 0.5
+        ),
+    )  # fmt: skip
+
+
+def _comparison(view: ProblemView, solution: Solution) -> Comparison:
+    seen = view.seen
+    return Comparison.measured(seen.target.name, view.shown(solution.sh), seen.target.image, seen.counted)
+
+
+_VIEWS_DONE = 0.6
+"""Share of the set-up that looking takes, measured on the built-in street."""
+
+_SPACING_PX = 3
+"""Every third pixel each way is enough for a map of twelve numbers a surface."""
+
+
+def set_up(
+    scene: Scene, targets: Sequence[TargetView], held_out: Sequence[TargetView], settings: RecolorSettings
+) -> Generator[Progress, None, SetUp]:
+    """Set up the recolouring of a scene to pictures; the progress is that of the set-up alone.
+
+    Raises:
+        ValueError: When there is no picture, or none shows anything of the scene.
+    """
+    if not targets:
+        raise ValueError("recolouring needs at least one picture to recolour to")
+    members, ground_m = scene_members(scene), ground_height_m(scene)
+    views: list[SeenView] = []
+    room = settings.memory_mb * 1e6
+    for i, target in enumerate([*targets, *held_out]):
+        yield Progress(_VIEWS_DONE * i / (len(targets) + len(held_out)), f"Looking at view {target.name}")
+        views.append(seen_view(scene, members, target, ground_m, room))
+        room -= views[-1].weights.nbytes
+    used_mb = settings.memory_mb - room / 1e6
+    yield Progress(_VIEWS_DONE, f"Mapping colours; weights of {len(views)} views take {used_mb:,.0f} MB")
+    setup = set_up_seen(scene, members, views, len(targets), settings)
+    yield Progress(1.0, "Set up")
+    return setup
+
+
+def set_up_seen(
+    scene: Scene, members: Sequence[Member], views: Sequence[SeenView], taught: int, settings: RecolorSettings
+) -> SetUp:
+    """Set up for views that have been looked at; those after the first so many have no say.
+
+    Raises:
+        ValueError: When none of those that have a say shows anything of the scene.
+    """
+    if not any(len(view.splats) and view.counted.any() for view in views[:taught]):
+        raise ValueError(f"none of the {taught} cameras sees anything of the scene {scene.name!r}")
+    change = _color_change(views[:taught], robust=settings.robust)
+    prior: dict[str, Float32[np.ndarray, "_ _ 3"]] = {}
+    shares = surface_shares(scene, members, views[:taught], ground_height_m(scene))
+    for member, own in zip(members, shares, strict=True):
+        prior[member.key] = change.of_sh(member.gaussians.sh, own)
+    return SetUp(_problem(members, prior, views, taught), tuple(members), prior)
+
+
+def _color_change(views: Sequence[SeenView], *, robust: bool) -> ColorChange:
+    """Fit the maps of colour to all views; once more with less say for those that the first ones fail."""
+    some = [slice(None, None, _SPACING_PX)] * 2
+    clear = [view.clear[*some].reshape(-1, 3) for view in views]
+    wanted = [view.target.image[*some].reshape(-1, 3) for view in views]
+    shares = [(view.surfaces * view.counted[..., None])[*some].reshape(-1, 3) for view in views]
+    change = fit_color_change(clear, wanted, shares)
+    if not robust or len(views) < 3:
+        return change
+    errors = [(change.of_colors(x, w) - y)[None] for x, y, w in zip(clear, wanted, shares, strict=True)]
+    trust = view_trust([spread(error, (w.sum(axis=1) > 0)[None]) for error, w in zip(errors, shares, strict=True)])
+    return fit_color_change(clear, wanted, [np.float32(t) * w for t, w in zip(trust, shares, strict=True)])
+
+
+def _problem(
+    members: Sequence[Member], prior: dict[str, Float32[np.ndarray, "_ _ 3"]], views: Sequence[SeenView], taught: int
+) -> ColorProblem:
+    k = max(member.gaussians.sh.shape[1] for member in members)
+    is_seen = np.zeros(sum(len(member.gaussians) for member in members), np.bool_)
+    for view in views:
+        is_seen[view.rows] = True
+    rows, numbers = np.flatnonzero(is_seen), np.cumsum(is_seen) - 1
+    start = np.zeros((len(rows), k, 3), np.float32)
+    for member in members:
+        first, last = np.searchsorted(rows, [member.rows.start, member.rows.stop])
+        own = prior[member.key]
+        start[first:last, : own.shape[1]] = own[rows[first:last] - member.first]
+    listed = tuple(ProblemView(view, numbers[view.rows], view.basis(k)) for view in views)
+    return ColorProblem(rows, listed[:taught], listed[taught:], start, _one_view(listed[:taught], len(rows)))
+
+
+def _one_view(views: Sequence[ProblemView], count: int) -> Float32[np.ndarray, " n"]:
+    """Mean evidence of each Gaussian in one view, sum e^2 / sum e with e the sum of its squared weights in a view."""
+    evidence = np.zeros((2, count), np.float32)
+    for view in views:
+        own = view.seen.weights.squared_sums(view.seen.counted.astype(np.float32))
+        evidence[0, view.indices] += own
+        evidence[1, view.indices] += own * own
+    return evidence[1] / np.maximum(evidence[0], np.float32(1e-6))

@@ -1,0 +1,173 @@
+"""After colours: all parameters of a recoloured scene move a little towards the pictures (torch)."""
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from ..render.autodiff.differentiable import render_gaussians
+from ..render.autodiff.types import Rendered
+from ..render.cpu.fast_math import harmonics
+from ..render.cpu.projection import view_directions
+from ..scene.gaussians import Gaussians
+from ..scene.geometry import quaternions_from_matrices
+from ..scene.progress import Progress
+from ..scene.scene import Part
+from ..training.parameters import FIRST_DECAY, SECOND_DECAY, SplatParameters, adam_step
+from ..training.step import d_ssim, l1
+from .problem import ColorProblem, ProblemView, Solution
+from .solver import Step, add_seen, colors_seen
+
+torch: Any = import_module("torch")
+
+Tensor = Any
+
+RATES = {
+    "means": 1.6e-5, "log_scales": 1e-3, "quaternions": 2e-4, "opacity_logits": 5e-3, "sh_dc": 2.5e-3,
+    "sh_rest": 2.5e-3 / 20,
+}  # fmt: skip
+"""A tenth to a fifth of 3DGS's for the geometry, which is right already; that of means times the scene's size."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Moving:
+    """One visible part with its trainable Gaussians."""
+
+    part: Part
+    parameters: SplatParameters
+
+    def activated(self, view: ProblemView) -> tuple[Tensor, ...]:
+        """Means, scales, quaternions, opacities and colours in the world, without what is left out."""
+        own, kept = self.parameters, self._kept()
+        scale = float(np.cbrt(np.linalg.det(self.part.to_world[:3, :3])))
+        turn = quaternions_from_matrices(self.part.to_world[:3, :3] / scale)
+        matrix = torch.as_tensor(self.part.to_world, dtype=torch.float32)
+        means = own.tensors["means"] @ matrix[:3, :3].T + matrix[:3, 3]
+        quaternions = own.tensors["quaternions"] @ _product(turn).T
+        return tuple(
+            each[kept]
+            for each in (
+                means, own.scales * scale, quaternions, own.opacities * self.part.opacity, self._colors(view)
+            )
+        )  # fmt: skip
+
+    def _kept(self) -> Tensor:
+        if not self.part.left_out:
+            return slice(None)
+        return torch.from_numpy((~self.part.left_out).indices.astype(np.int64))
+
+    def _colors(self, view: ProblemView) -> Tensor:
+        """Display colours; directions count as fixed, a step turns them by next to nothing."""
+        means = self.parameters.tensors["means"].detach().numpy()
+        g = self.part.gaussians
+        now = self.part._replace(gaussians=Gaussians(means, g.scales, g.quaternions, g.opacities, g.sh))
+        directions = view_directions([now], view.seen.target.camera, np.arange(len(means)))
+        basis = torch.from_numpy(harmonics(directions, g.sh.shape[1]))
+        return 0.5 + torch.einsum("nk,nkc->nc", basis, self.parameters.sh)
+
+
+def refine(
+    members: dict[str, Gaussians], views: Sequence[ProblemView], solution: Solution, steps: int, size_m: float,
+    seed: int = 0,
+) -> Generator[Progress, None, dict[str, Gaussians]]:  # fmt: skip
+    """Train all parameters of members (recoloured Gaussians by key) on the views, one a step.
+
+    No Gaussian is added or taken away, so that clear colours keep their owners. `size_m` is how large the scene is.
+    """
+    trained = {key: SplatParameters.from_gaussians(each, each.sh_degree) for key, each in members.items()}
+    chosen = np.flatnonzero(solution.trust > 0.1)
+    order, turns = np.random.default_rng(seed), np.zeros(0, np.int64)
+    rates = RATES | {"means": RATES["means"] * size_m}
+    for step in range(steps):
+        yield Progress(step / steps, f"Refining, step {step + 1} of {steps}")
+        if not len(turns):
+            turns = order.permutation(chosen)
+        index, turns = int(turns[0]), turns[1:]
+        view = views[index]
+        visible = view.seen.visible
+        parts = [_Moving(p, trained[m.key]) for m, p in zip(visible.members, visible.parts, strict=True)]
+        rendered = _rendered(parts, view)
+        wanted = torch.from_numpy(solution.affines[index].undone(view.seen.target.image))
+        wanted = wanted * rendered.alpha.detach()[..., None]
+        mask = torch.from_numpy(view.seen.counted)
+        loss = (1 - D_SSIM_SHARE) * l1(rendered.color, wanted, mask)
+        (loss + D_SSIM_SHARE * d_ssim(rendered.color, wanted, mask)).backward()
+        for moving in parts:
+            moving.parameters.step(rates)
+            moving.parameters.zero_grad()
+    return {key: each.to_gaussians() for key, each in trained.items()}
+
+
+def _rendered(parts: Sequence[_Moving], view: ProblemView) -> Rendered:
+    pieces = zip(*(each.activated(view) for each in parts), strict=True)
+    means, scales, quaternions, opacities, colors = (torch.cat(each) for each in pieces)
+    return render_gaussians(means, scales, quaternions, opacities, colors, view.seen.target.camera)
+
+
+def _product(turn: np.ndarray) -> Tensor:
+    w, x, y, z = turn.tolist()
+    return torch.tensor([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+
+
+# § After least squares: a few steps for what the eye sees, absolute differences and structure (torch).
+
+D_SSIM_SHARE = 0.2
+"""Of the loss, as in 3DGS (Kerbl et al. 2023, eq. 7)."""
+
+RATE, DIRECTIONAL_RATE = 2.5e-3, 2.5e-3 / 20
+"""Of degree 0, and of what is above (3DGS)."""
+
+
+def polish(
+    problem: ColorProblem, solution: Solution, steps: int, sh_degree: int = 3, seed: int = 0
+) -> Generator[Step, None, Float32[np.ndarray, "n k 3"]]:
+    """Go on from a solution by Adam, a view a step, with the stored weights: nothing is rasterized anew.
+
+    Unlike least squares it knows that renderers cut colours below 0. Trust in views and their exposures stay.
+
+    Yields:
+        The loss, and the change from the prior so far.
+
+    Returns:
+        The harmonics.
+    """
+    sh = solution.sh.copy()
+    n, k = sh.shape[:2]
+    moments = np.zeros((2, n, 3 * k), np.float32)
+    gradient = np.zeros_like(sh)
+    chosen = np.flatnonzero(solution.trust > 0.1)
+    order, turns = np.random.default_rng(seed), np.zeros(0, np.int64)
+    for step in range(1, steps + 1):
+        if not len(turns):
+            turns = order.permutation(chosen)
+        index, turns = int(turns[0]), turns[1:]
+        gradient[:] = 0
+        loss = _descend(problem.views[index], solution, index, sh, gradient)
+        gradient[:, (sh_degree + 1) ** 2 :] = 0
+        shares = 1 - FIRST_DECAY**step, 1 - SECOND_DECAY**step
+        four = (sh.reshape(n, -1), gradient.reshape(n, -1), *moments)
+        for own, rate in ((slice(0, 3), RATE), (slice(3, 3 * k), DIRECTIONAL_RATE)):
+            values, slope, first, second = (each[:, own] for each in four)
+            adam_step(values, slope, first, second, np.zeros(0, np.bool_), rate, shares[0], shares[1])
+        yield Step(loss, sh - problem.prior)
+    return sh
+
+
+def _descend(
+    view: ProblemView, solution: Solution, index: int, sh: Float32[np.ndarray, "n k 3"],
+    gradient: Float32[np.ndarray, "n k 3"],
+) -> float:  # fmt: skip
+    """Add one view's gradient by the harmonics; return its loss."""
+    seen = view.seen
+    colors = np.float32(0.5) + colors_seen(sh, view.indices, view.basis)
+    image = torch.from_numpy(seen.weights.blend(np.maximum(colors, np.float32(0)))).requires_grad_()
+    wanted = torch.from_numpy(solution.affines[index].undone(seen.target.image) * seen.alpha[..., None])
+    mask = torch.from_numpy(seen.counted)
+    loss = (1 - D_SSIM_SHARE) * l1(image, wanted, mask) + D_SSIM_SHARE * d_ssim(image, wanted, mask)
+    loss.backward()
+    gathered = seen.weights.accumulate(np.ascontiguousarray(image.grad.numpy()))
+    add_seen(gradient, view.indices, view.basis, np.where(colors > 0, gathered, np.float32(0)))
+    return float(loss.detach())

@@ -1,0 +1,135 @@
+"""The file a recolouring writes: new spherical harmonics a layer and actor, and nothing else (.npz, no pickle)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int64
+
+from ..safe_io.numpy_files import read_archive
+from ..safe_io.text_files import printable
+from ..scene.files import SceneFormatError, whole_file
+from ..scene.gaussians import Gaussians
+from ..scene.scene import Layer, Part, Scene
+
+_VERSION = 1
+
+
+def write_recolored(path: Path, colors: Mapping[str, Float32[np.ndarray, "_ _ 3"]]) -> None:
+    """Write harmonics by name (`layers/NAME`, `actors/ID`), whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    arrays: dict[str, Any] = {"version": np.array(_VERSION), "names": np.array(list(colors), dtype=np.str_)}
+    arrays |= {f"sh_{i}": sh for i, sh in enumerate(colors.values())}
+    with whole_file(path) as beside, beside.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def read_recolored(path: Path | str) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
+    """Read harmonics by name (`layers/NAME`, `actors/ID`).
+
+    Raises:
+        SceneFormatError: When the file holds something else.
+    """
+    try:
+        file = read_archive(Path(path))
+        version = int(file["version"])
+        if version > _VERSION:
+            raise SceneFormatError(path, f"version {version} is newer than {_VERSION}, which this program knows")
+        colors = {str(name): file[f"sh_{i}"] for i, name in enumerate(file["names"])}
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        if isinstance(error, SceneFormatError):
+            raise
+        raise SceneFormatError(path, f"not a file of recoloured Gaussians: {printable(error)}") from None
+    for name, sh in colors.items():
+        if sh.dtype != np.float32 or sh.ndim != 3 or sh.shape[2] != 3:
+            raise SceneFormatError(path, f"harmonics of {name!r} are {sh.dtype} {sh.shape}, expected float32 (n, k, 3)")
+    return colors
+
+
+# § Wet colours, as a recolouring has found them, on the members of a scene.
+
+
+def with_colors(scene: Scene, colors: Mapping[str, Float32[np.ndarray, "_ _ 3"]]) -> Scene:
+    """Return the scene with wet colours, by `layers/NAME` and `actors/ID`; what is not named keeps what it has.
+
+    Colours are of all of a member's Gaussians, or of those that are not deleted: files know no others.
+    """
+    for key, sh in colors.items():
+        member = scene.member(key)
+        deleted = member.marks.deleted
+        if deleted is not None and len(sh) < len(member.gaussians):
+            whole = member.gaussians.sh.copy()
+            whole[(~deleted).indices] = sh
+            sh = whole
+        scene = scene.with_member(key, wet_sh=sh)
+    return scene
+
+
+# § Everything in a scene that has colours of its own, as one list of Gaussians that counts through.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Member:
+    """A layer or an actor."""
+
+    key: str
+    """`layers/NAME` or `actors/ID`."""
+    gaussians: Gaussians
+    is_sky: bool
+    first: int
+    """Row of its first Gaussian among those of all members."""
+
+    @property
+    def rows(self) -> slice:
+        return slice(self.first, self.first + len(self.gaussians))
+
+
+def scene_members(scene: Scene) -> list[Member]:
+    """Layers first, then actors, in the scene's order, hidden ones too."""
+    members: list[Member] = []
+    first = 0
+    for each in scene.members:
+        is_sky = isinstance(each, Layer) and each.kind == "sky"
+        members.append(Member(each.key, each.gaussians, is_sky, first))
+        first += len(each.gaussians)
+    return members
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VisibleMembers:
+    """The members that stand in the scene at one time, ready to be drawn."""
+
+    members: list[Member]
+    parts: list[Part]
+    rows: Int64[np.ndarray, " n"]
+    """Row among all members of each Gaussian of `parts`, counted through."""
+    is_sky: Bool[np.ndarray, " n"]
+
+
+def visible_members(scene: Scene, members: list[Member], time_s: float) -> VisibleMembers:
+    """Pick what can be seen at a time, with its way to the world; grading comes on top of colours that are solved."""
+    placed = [
+        (member, part._replace(colors=None))
+        for member, shown in zip(members, scene.members, strict=True)
+        if shown.visible and (part := scene.part(shown, time_s)) is not None
+    ]
+    none = np.zeros(0, np.int64)
+    return VisibleMembers(
+        [member for member, _ in placed],
+        [part for _, part in placed],
+        np.concatenate([none, *(np.arange(len(member.gaussians)) + member.first for member, _ in placed)]),
+        np.concatenate([none > 0, *(np.full(len(member.gaussians), member.is_sky) for member, _ in placed)]),
+    )
+
+
+def world_heights(scene: Scene, member: Member) -> Float32[np.ndarray, " n"]:
+    """World z of a layer's Gaussians in metres; for an actor, z above its own bottom, as if it stood at height 0."""
+    shown = scene.member(member.key)
+    if isinstance(shown, Layer):
+        to_world = scene.scene_to_world @ shown.to_scene
+        up, offset = to_world[2, :3], to_world[2, 3]
+    else:
+        up, offset = np.array([0, 0, scene.metres_per_unit]), 0.0
+    return (member.gaussians.means @ up + offset).astype(np.float32)

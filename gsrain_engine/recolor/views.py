@@ -1,0 +1,296 @@
+"""Views that a scene is recoloured to: what each shows of the scene now, and what it ought to show."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+
+from ..appearance.normals import normals_from_depth, world_points
+from ..datasets.capture import Capture
+from ..datasets.undistort import prepared
+from ..render.cpu.compositing import expected, view_weights
+from ..render.cpu.fast_math import harmonics
+from ..render.cpu.projection import view_directions
+from ..scene.camera import Camera
+from ..scene.scene import Scene
+from .result import Member, VisibleMembers, scene_members, visible_members, world_heights
+from .weights import StoredWeights, WalkedWeights, weights_of
+
+_UNSEEN_WEIGHT_PX = 0.5
+"""A Gaussian seen with less than this in all counts as ground or not by its height rather than by the views."""
+
+_GROUND_HEIGHT_M = 0.3
+
+_SOLID = 0.3
+"""Share of a pixel that must not be sky for its depth to be told."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetView:
+    """A picture that the scene ought to look like."""
+
+    name: str
+    camera: Camera
+    """In the world (metres, z up)."""
+    time_s: float
+    image: Float32[np.ndarray, "h w 3"]
+    """Display colour."""
+    mask: Bool[np.ndarray, "h w"] | None = None
+    """Which pixels count; None means all."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenView:
+    """One view of the scene: what it is made of, and how it looks when clear."""
+
+    target: TargetView
+    visible: VisibleMembers
+    weights: StoredWeights | WalkedWeights
+    splats: Int64[np.ndarray, " m"]
+    """Index of each splat that has weight, counted through the visible parts."""
+    clear: Float32[np.ndarray, "h w 3"]
+    """Display colour, over what is there."""
+    alpha: Float32[np.ndarray, "h w"]
+    depth: Float32[np.ndarray, "h w"]
+    """Metres along the view axis; 0 where nothing but sky is."""
+    surfaces: Float32[np.ndarray, "h w 3"]
+    """Shares of sky, ground and other, weighted by alpha."""
+
+    @property
+    def rows(self) -> Int64[np.ndarray, " m"]:
+        """Row of each splat among the Gaussians of all members."""
+        return self.visible.rows[self.splats]
+
+    @property
+    def counted(self) -> Bool[np.ndarray, "h w"]:
+        """Which pixels say anything about the scene."""
+        there = self.alpha > _SOLID
+        return there if self.target.mask is None else there & self.target.mask
+
+    def basis(self, k: int) -> Float32[np.ndarray, "m k"]:
+        """First k harmonics that each splat is seen through; 0 beyond those that its member has."""
+        basis = harmonics(view_directions(self.visible.parts, self.target.camera, self.splats), k)
+        own = np.concatenate([np.full(len(m.gaussians), m.gaussians.sh.shape[1]) for m in self.visible.members])
+        basis[np.arange(k) >= own[self.splats][:, None]] = 0
+        return basis
+
+
+def target_views(scene: Scene, capture: Capture, width_px: int) -> Iterator[TargetView]:
+    """Read a capture's pictures, straightened and at most so many pixels wide, one by one.
+
+    Its cameras are in the scene's own units and axes. Raises `CaptureError` for a picture that can't be read.
+    """
+    for view in capture:
+        ready = prepared(view, min(width_px, view.camera.width))
+        image = ready.image.astype(np.float32) / np.float32(255)
+        yield TargetView(view.name, ready.camera.moved(scene.scene_to_world), view.time_s, image, ready.mask)
+
+
+def seen_view(
+    scene: Scene, members: list[Member], target: TargetView, ground_m: float, most_bytes: float = np.inf
+) -> SeenView:
+    """Look at the scene as it is from where a picture was taken; weights are stored if they fit into `most_bytes`."""
+    visible = visible_members(scene, members, target.time_s)
+    view = view_weights(visible.parts, target.camera)
+    weights = weights_of(view, most_bytes)
+    splats = view.splats.indices[weights.rows]
+    colors = view.splats.colors[weights.rows]
+    is_sky = visible.is_sky[splats].astype(np.float32)
+    premultiplied = weights.blend(np.ascontiguousarray(colors[:, :3]))
+    geometry = weights.blend(np.stack([1 - is_sky, is_sky, (1 - is_sky) * colors[:, 3]], axis=1))
+    solid, alpha = geometry[..., 0], geometry[..., 0] + geometry[..., 1]
+    clear = np.stack([expected(np.ascontiguousarray(premultiplied[..., c]), alpha) for c in range(3)], axis=-1)
+    depth = expected(np.ascontiguousarray(geometry[..., 2]), np.ascontiguousarray(solid))
+    depth[solid <= _SOLID * alpha] = 0
+    sky = expected(np.ascontiguousarray(geometry[..., 1]), alpha)
+    ground = ground_share(depth, upness(depth, target.camera), target.camera, ground_m) * (1 - sky)
+    surfaces = alpha[..., None] * np.stack([sky, ground, 1 - sky - ground], axis=-1)
+    return SeenView(target, visible, weights, splats, clear, alpha, depth, surfaces)
+
+
+def upness(depth: Float32[np.ndarray, "h w"], camera: Camera) -> Float32[np.ndarray, "h w"]:
+    """World-up component of surface normals that depth tells."""
+    return np.ascontiguousarray(normals_from_depth(depth, camera)[..., 2])
+
+
+def surface_shares(
+    scene: Scene, members: Sequence[Member], views: Sequence[SeenView], ground_m: float
+) -> list[Float32[np.ndarray, "_ 3"]]:
+    """What kind of surface each Gaussian is: as the views show it, and by its height where they hardly do."""
+    seen = np.zeros((sum(len(member.gaussians) for member in members), 3), np.float32)
+    for view in views:
+        seen[view.rows] += view.weights.accumulate(view.surfaces)
+    shares: list[Float32[np.ndarray, "_ 3"]] = []
+    for member in members:
+        guess = np.zeros((len(member.gaussians), 3), np.float32)
+        if member.is_sky:
+            guess[:, 0] = 1
+        else:
+            level = ground_m if member.key.startswith("layers/") else -np.inf
+            is_low = np.abs(world_heights(scene, member) - level) < _GROUND_HEIGHT_M
+            guess[:, 1], guess[:, 2] = is_low, ~is_low
+        mixed = (_UNSEEN_WEIGHT_PX * guess + seen[member.rows]) if not member.is_sky else guess
+        shares.append(mixed / mixed.sum(axis=1, keepdims=True))
+    return shares
+
+
+# § What a picture's own exposure and white balance did to it: an affine map of colour a view, the mean of all fixed.
+
+PULL = 1e-3
+"""Tikhonov pull towards no change, in squared colour: what a picture without contrast can't tell."""
+
+SWEEPS = 6
+"""Rounds over all views; each takes the others' newest maps."""
+
+_LEAST_PX = 1.0
+"""A Gaussian that a view, or all others together, see less of than this says nothing about exposures."""
+
+_MIDDLE = 0.5
+
+_GAIN_LIMITS = 0.2, 5.0
+"""So that a map can always be undone: a black picture has no gain."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewAffine:
+    """Picture = gains * (colour of the scene - 1/2) + 1/2 + offsets, channel by channel, in display colour."""
+
+    gains: Float64[np.ndarray, "3"]
+    offsets: Float64[np.ndarray, "3"]
+
+    def undone(self, picture: Float32[np.ndarray, "*p 3"]) -> Float32[np.ndarray, "*p 3"]:
+        shift = _MIDDLE - (self.offsets + _MIDDLE) / self.gains
+        return picture * (1 / self.gains).astype(np.float32) + shift.astype(np.float32)
+
+
+NO_CHANGE = ViewAffine(np.ones(3), np.zeros(3))
+
+
+def view_affines(
+    seen: Sequence[Float32[np.ndarray, "_ 3"]],
+    evidence: Sequence[Float32[np.ndarray, " _"]],
+    indices: Sequence[Int64[np.ndarray, " _"]],
+    count: int,
+) -> list[ViewAffine]:
+    """Find the maps by comparing what several views see of the same Gaussians.
+
+    Each view's Gaussians are compared with the mean of what all *other* views make of them, weighted by what both see:
+    so that a view can't agree with itself, and colours needn't be known. What depends on direction counts as noise.
+
+    Args:
+        seen: For each view, what each splat gathers of the picture: the sum of weight * colour.
+        evidence: For each view, the sum of each splat's weights in pixels.
+        indices: Row of each splat among all Gaussians.
+        count: How many Gaussians there are.
+    """
+    kept = [np.flatnonzero(each >= _LEAST_PX) for each in evidence]
+    means = [own[rows] / each[rows, None] for own, each, rows in zip(seen, evidence, kept, strict=True)]
+    amounts = [each[rows] for each, rows in zip(evidence, kept, strict=True)]
+    places = [each[rows] for each, rows in zip(indices, kept, strict=True)]
+    sums, totals = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
+    for mean, amount, place in zip(means, amounts, places, strict=True):
+        sums[place] += mean * amount[:, None]
+        totals[place] += amount
+    affines = [NO_CHANGE] * len(means)
+    for _ in range(SWEEPS):
+        for v, (mean, amount, place) in enumerate(zip(means, amounts, places, strict=True)):
+            sums[place] -= affines[v].undone(mean) * amount[:, None]
+            others = totals[place] - amount
+            both = np.where(others >= _LEAST_PX, amount * others / np.maximum(totals[place], _LEAST_PX), 0)
+            affines[v] = _fitted(sums[place] / np.maximum(others, _LEAST_PX)[:, None], mean, both.astype(np.float32))
+            sums[place] += affines[v].undone(mean) * amount[:, None]
+    return _gauge_fixed(affines)
+
+
+def _fitted(
+    scene: Float32[np.ndarray, "p 3"], picture: Float32[np.ndarray, "p 3"], trust: Float32[np.ndarray, " p"]
+) -> ViewAffine:
+    """Fit the map that takes the scene's colours to the picture's, by weighted ridge regression towards no change."""
+    x, change = scene - np.float32(_MIDDLE), picture - scene
+    total = float(trust.sum(dtype=np.float64))
+    pull = PULL * total + 1e-9
+    mean, square, shift, product = (
+        np.einsum("p,pc->c", trust, each, dtype=np.float64) for each in (x, x * x, change, x * change)
+    )
+    determinant = (square + pull) * (total + pull) - mean**2
+    gains = 1 + ((total + pull) * product - mean * shift) / determinant
+    offsets = ((square + pull) * shift - mean * product) / determinant
+    return ViewAffine(np.clip(gains, *_GAIN_LIMITS), offsets)
+
+
+def _gauge_fixed(affines: Sequence[ViewAffine]) -> list[ViewAffine]:
+    """Make the middle of all maps no change: else the scene could darken and every picture brighten, unseen.
+
+    The same change of the scene's colours is taken out of each, on its scene's side: A_v becomes A_v M^-1. The middle
+    is the median, so that one picture of something else does not move it.
+    """
+    gain = np.median([each.gains for each in affines], axis=0)
+    offset = np.median([each.offsets for each in affines], axis=0)
+    return [ViewAffine(each.gains / gain, each.offsets - each.gains / gain * offset) for each in affines]
+
+
+# § How high the ground of a scene is, in the world (metres, z up).
+
+_LOW_SHARE = 0.05
+"""A street's scene is mostly ground at its lowest; stray Gaussians below it are fewer than this share."""
+
+
+def ground_height_m(scene: Scene) -> float:
+    """World height of the ground: what the scene says, else the lowest twentieth of its half-opaque Gaussians.
+
+    0 for a scene that holds none.
+    """
+    if scene.ground_m is not None:
+        return scene.ground_m
+    heights = [np.zeros(0, np.float32)]
+    for member in scene_members(scene):
+        if member.key.startswith("layers/") and not member.is_sky:
+            heights.append(world_heights(scene, member)[member.gaussians.opacities > 0.5])
+    found = np.concatenate(heights)
+    found = found[np.isfinite(found)]
+    return float(np.quantile(found, _LOW_SHARE)) if len(found) else 0.0
+
+
+# § Which pixels of a view show ground: what faces up, at the ground's height.
+
+_FACING_UP = (0.6, 0.9)
+"""Upward parts of normals from which surfaces may be ground, and from which they are."""
+
+_BAND_M = (0.25, 0.6)
+"""Heights over the ground up to which they are, and from which they aren't."""
+
+
+def ground_share(
+    depth: Float32[np.ndarray, "h w"], upness: Float32[np.ndarray, "h w"], camera: Camera, ground_m: float
+) -> Float32[np.ndarray, "h w"]:
+    """How much each pixel shows of the ground, 0 to 1.
+
+    Args:
+        depth: Along the view axis in metres, 0 where unknown.
+        upness: World-up part of the unit normal, -1..1.
+        camera: In the world (metres, z up).
+        ground_m: Height of the ground in the world.
+    """
+    heights = world_points(depth, camera)[..., 2] - ground_m
+    share = _rising(*_FACING_UP, upness.astype(np.float64)) * (1 - _rising(*_BAND_M, heights))
+    return np.where(depth > 0, share, 0).astype(np.float32)
+
+
+def _rising(low: float, high: float, x: Float64[np.ndarray, "h w"]) -> Float64[np.ndarray, "h w"]:
+    """Go smoothly from 0 at `low` to 1 at `high`."""
+    t = np.clip((x - low) / (high - low), 0, 1)
+    return t * t * (3 - 2 * t)
+
+
+# § Pictures of the work while it goes on.
+
+_WIDTH_PX = 320
+
+
+def small_picture(picture: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
+    """Return a picture (display colour) at most 320 pixels wide, for a panel to show."""
+    shrink = min(1.0, _WIDTH_PX / picture.shape[1])
+    small = cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
+    return np.rint(np.clip(small, 0, 1) * np.float32(255)).astype(np.uint8)

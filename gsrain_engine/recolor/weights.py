@@ -1,0 +1,302 @@
+"""Blending weights of one view, stored: with geometry fixed, W is a matrix that is worked out once."""
+
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float32, Int64, UInt8, UInt16
+
+from ..render.cpu.compositing import BATCH, MIN_TRANSMITTANCE, ViewWeights, alpha_of, columns_of, is_finished
+from ..render.cpu.fast_math import FAST
+from ..render.cpu.tiles import TILE
+from .solver import LANES, add_piece, sum_piece
+
+STEP = np.float32(1 / 65535)
+"""Weights are kept as multiples of this."""
+
+LEAST = 8
+"""Smaller weights (0.03 % of all light on the built-in street, a fifth of their number) are left out."""
+
+_PIECES = TILE * TILE // LANES
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredWeights:
+    """W of one view as a matrix in memory, tile by tile, nearest splat first.
+
+    A pair is a splat that adds to a tile. Only splats, pairs and pieces with a weight of `LEAST` are kept: what lies
+    behind opaque surfaces costs nothing any more.
+    """
+
+    width: int
+    height: int
+    rows: Int64[np.ndarray, " m"]
+    """Which row of the view's splats each of the m splats kept here is, rising."""
+    pair_starts: Int64[np.ndarray, " tiles_and_one"]
+    """Where each tile's pairs start."""
+    splats: Int64[np.ndarray, " pairs"]
+    """Splat of each pair, counted among `rows`."""
+    piece_starts: Int64[np.ndarray, " pairs_and_one"]
+    """Where each pair's pieces start."""
+    places: UInt8[np.ndarray, " pieces"]
+    """Which piece of the tile each is, column by column."""
+    weights: UInt16[np.ndarray, "pieces 8"]
+    """In units of `STEP`."""
+
+    @property
+    def nbytes(self) -> int:
+        arrays = (self.rows, self.pair_starts, self.splats, self.piece_starts, self.places, self.weights)
+        return sum(each.nbytes for each in arrays)
+
+    def blend(self, colors: Float32[np.ndarray, "m 3"]) -> Float32[np.ndarray, "h w 3"]:
+        image = np.empty((self.height, self.width, 3), np.float32)
+        _blend(self.pair_starts, self.splats, self.piece_starts, self.places, self.weights, colors, image)
+        return image
+
+    def accumulate(self, image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "m 3"]:
+        """W transposed times an image: what each splat gathers from it."""
+        by_pair = np.empty((len(self.splats), 3), np.float32)
+        _gather(self.pair_starts, self.piece_starts, self.places, self.weights, image, by_pair)
+        return self._by_splat(by_pair)
+
+    def normal(
+        self, colors: Float32[np.ndarray, "m 3"], trust: Float32[np.ndarray, "h w"]
+    ) -> Float32[np.ndarray, "m 3"]:
+        """W transposed times trust times W times colours, tile by tile: the weights come from memory once."""
+        by_pair = np.empty((len(self.splats), 3), np.float32)
+        _normal(self.pair_starts, self.splats, self.piece_starts, self.places, self.weights, colors, trust, by_pair)
+        return self._by_splat(by_pair)
+
+    def squared_sums(self, trust: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, " m"]:
+        by_pair = np.zeros((len(self.splats), 3), np.float32)
+        _squares(self.pair_starts, self.piece_starts, self.places, self.weights, trust, by_pair)
+        return self._by_splat(by_pair)[:, 0]
+
+    def _by_splat(self, by_pair: Float32[np.ndarray, "pairs 3"]) -> Float32[np.ndarray, "m 3"]:
+        sums = np.zeros((len(self.rows), 3), np.float32)
+        _add_pairs(self.splats, by_pair, sums)
+        return sums
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WalkedWeights:
+    """The same operator without storing W: for views that memory has no room for; each use walks the tiles anew."""
+
+    view: ViewWeights
+
+    @property
+    def rows(self) -> Int64[np.ndarray, " m"]:
+        """All of the view's splats."""
+        return np.arange(len(self.view.splats))
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of splats and tile lists."""
+        splats, tiles = self.view.splats, self.view.tiles
+        return splats.shapes.nbytes + splats.colors.nbytes + splats.indices.nbytes + tiles.members.nbytes
+
+    def blend(self, colors: Float32[np.ndarray, "m 3"]) -> Float32[np.ndarray, "h w 3"]:
+        return self.view.blend(colors)
+
+    def accumulate(self, image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "m 3"]:
+        return self.view.accumulate(image)
+
+    def normal(
+        self, colors: Float32[np.ndarray, "m 3"], trust: Float32[np.ndarray, "h w"]
+    ) -> Float32[np.ndarray, "m 3"]:
+        return self.view.accumulate(self.view.blend(colors) * trust[..., None])
+
+    def squared_sums(self, trust: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, " m"]:
+        """Diagonal of W transposed times trust times W, as if each splat were trusted evenly with its own mean."""
+        trusted = self.view.accumulate(np.dstack([trust, np.ones_like(trust), trust]))
+        return self.view.squared_sums() * trusted[:, 0] / np.maximum(trusted[:, 1], np.float32(1e-12))
+
+
+def weights_of(view: ViewWeights, most_bytes: float = np.inf) -> StoredWeights | WalkedWeights:
+    """Store a view's weights where they fit into so many bytes; else walk its tiles each time."""
+    stored = stored_weights(view, most_bytes)
+    return WalkedWeights(view) if stored is None else stored
+
+
+def stored_weights(view: ViewWeights, most_bytes: float = np.inf) -> StoredWeights | None:
+    """Work out the weights of a view; None where they would take more than `most_bytes`."""
+    tiles, shapes = view.tiles, view.splats.shapes
+    counts = np.zeros(len(tiles.members) + 1, np.int64)
+    where = (shapes, tiles.starts, tiles.members, tiles.width, tiles.height, counts[1:])
+    _walk(*where, None, None, None)
+    starts = np.cumsum(counts)
+    pieces = int(starts[-1])
+    if pieces * (1 + 2 * LANES) > most_bytes:
+        return None
+    places, weights = np.empty(pieces, np.uint8), np.empty((pieces, LANES), np.uint16)
+    _walk(*where, starts, places, weights)
+    kept = counts[1:] > 0
+    before = np.concatenate([[0], np.cumsum(kept)])
+    members = tiles.members[kept]
+    seen = np.zeros(len(view.splats), np.bool_)
+    seen[members] = True
+    numbers = np.cumsum(seen) - 1
+    return StoredWeights(
+        tiles.width, tiles.height, np.flatnonzero(seen), before[tiles.starts], numbers[members],
+        starts[np.append(kept, True)], places, weights,
+    )  # fmt: skip
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _walk(shapes, tile_starts, members, width, height, counts, starts, places, weights):
+    """Composite without colours: count each pair's pieces, or write them where `starts` says."""
+    columns = (width + TILE - 1) // TILE
+    rows = (len(tile_starts) - 1) // columns
+    for place in numba.prange(len(tile_starts) - 1):
+        # Column by column, as in compositing.
+        tile = place % rows * columns + place // rows
+        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        state = np.zeros((TILE, TILE), np.float32)
+        state[: width - x0, : min(TILE, height - y0)] = 1
+        steps = np.empty(TILE, np.float32)
+        for k in range(tile_starts[tile], tile_starts[tile + 1]):
+            if (k - tile_starts[tile]) % BATCH == 0 and is_finished(state):
+                break
+            shape = shapes[members[k]]
+            left, right = columns_of(shape, np.float32(x0 + 0.5))
+            found = 0
+            for u in range(left, right):
+                _weigh(shape, u, np.float32(x0 + 0.5), np.float32(y0 + 0.5), state[u], steps)
+                for half in range(TILE // LANES):
+                    largest = np.float32(0)
+                    for v in range(LANES):
+                        largest = max(largest, steps[half * LANES + v])
+                    if largest < LEAST:
+                        continue
+                    if starts is not None:
+                        places[starts[k] + found] = u * (TILE // LANES) + half
+                        for v in range(LANES):
+                            weights[starts[k] + found, v] = np.uint16(np.int32(steps[half * LANES + v]))
+                    found += 1
+            counts[k] = found
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _weigh(shape, u, x0, y0, line, steps):
+    """Weights of a splat in one column of a tile, as compositing has them, in units of `STEP`."""
+    dx = np.float32(u) + (x0 - shape[0])
+    peak = shape[5] + shape[3] * dx * dx
+    start = y0 - (shape[1] + shape[2] * dx)
+    for v in range(TILE):
+        dy = start + np.float32(v)
+        before = line[v]
+        weight = before * alpha_of(shape[4] * dy * dy + peak, shape[6])
+        after = before - weight
+        line[v] = after if after >= MIN_TRANSMITTANCE else np.float32(0)
+        steps[v] = weight * np.float32(65535) + np.float32(0.5)
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _blend_tile(tile, pair_starts, splats, piece_starts, places, weights, colors, canvas):
+    """Write a tile's picture, a line a piece: first all reds, then greens and blues."""
+    canvas[:] = 0
+    for k in range(pair_starts[tile], pair_starts[tile + 1]):
+        n = splats[k]
+        red, green, blue = colors[n, 0] * STEP, colors[n, 1] * STEP, colors[n, 2] * STEP
+        for j in range(piece_starts[k], piece_starts[k + 1]):
+            add_piece(weights, j, red, green, blue, canvas, np.intp(places[j]))
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _gather_tile(tile, pair_starts, piece_starts, places, weights, canvas, lanes, by_pair):
+    for k in range(pair_starts[tile], pair_starts[tile + 1]):
+        lanes[:] = 0
+        for j in range(piece_starts[k], piece_starts[k + 1]):
+            sum_piece(weights, j, canvas, np.intp(places[j]), lanes)
+        for channel in range(3):
+            total = np.float32(0)
+            for v in range(LANES):
+                total += lanes[channel * LANES + v]
+            by_pair[k, channel] = total * STEP
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _normal(pair_starts, splats, piece_starts, places, weights, colors, trust, by_pair):
+    height, width = trust.shape
+    columns = (width + TILE - 1) // TILE
+    rows = (len(pair_starts) - 1) // columns
+    for place in numba.prange(len(pair_starts) - 1):
+        tile = place % rows * columns + place // rows
+        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        canvas, lanes = np.empty((_PIECES, 3 * LANES), np.float32), np.empty(3 * LANES, np.float32)
+        _blend_tile(tile, pair_starts, splats, piece_starts, places, weights, colors, canvas)
+        for v in range(min(TILE, height - y0)):
+            for u in range(min(TILE, width - x0)):
+                line, lane = canvas[u * (TILE // LANES) + v // LANES], v % LANES
+                for channel in range(3):
+                    line[channel * LANES + lane] *= trust[y0 + v, x0 + u]
+        _gather_tile(tile, pair_starts, piece_starts, places, weights, canvas, lanes, by_pair)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _blend(pair_starts, splats, piece_starts, places, weights, colors, image):
+    height, width = image.shape[0], image.shape[1]
+    columns = (width + TILE - 1) // TILE
+    rows = (len(pair_starts) - 1) // columns
+    for place in numba.prange(len(pair_starts) - 1):
+        tile = place % rows * columns + place // rows
+        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        canvas = np.empty((_PIECES, 3 * LANES), np.float32)
+        _blend_tile(tile, pair_starts, splats, piece_starts, places, weights, colors, canvas)
+        for v in range(min(TILE, height - y0)):
+            for u in range(min(TILE, width - x0)):
+                for channel in range(3):
+                    image[y0 + v, x0 + u, channel] = canvas[u * (TILE // LANES) + v // LANES][
+                        channel * LANES + v % LANES
+                    ]
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _gather(pair_starts, piece_starts, places, weights, image, by_pair):
+    height, width = image.shape[0], image.shape[1]
+    columns = (width + TILE - 1) // TILE
+    rows = (len(pair_starts) - 1) // columns
+    for place in numba.prange(len(pair_starts) - 1):
+        tile = place % rows * columns + place // rows
+        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        canvas, lanes = np.zeros((_PIECES, 3 * LANES), np.float32), np.empty(3 * LANES, np.float32)
+        for v in range(min(TILE, height - y0)):
+            for u in range(min(TILE, width - x0)):
+                line, lane = canvas[u * (TILE // LANES) + v // LANES], v % LANES
+                for channel in range(3):
+                    line[channel * LANES + lane] = image[y0 + v, x0 + u, channel]
+        _gather_tile(tile, pair_starts, piece_starts, places, weights, canvas, lanes, by_pair)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _squares(pair_starts, piece_starts, places, weights, trust, by_pair):
+    height, width = trust.shape
+    columns = (width + TILE - 1) // TILE
+    for tile in numba.prange(len(pair_starts) - 1):
+        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        for k in range(pair_starts[tile], pair_starts[tile + 1]):
+            total = np.float32(0)
+            for j in range(piece_starts[k], piece_starts[k + 1]):
+                x, y = x0 + places[j] // (TILE // LANES), y0 + places[j] % (TILE // LANES) * LANES
+                for v in range(min(LANES, height - y)):
+                    weight = np.float32(weights[j, v]) * STEP
+                    total += weight * weight * trust[y + v, x]
+            by_pair[k, 0] = total
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _add_pairs(splats, by_pair, sums):
+    for k in range(len(splats)):
+        n = splats[k]
+        for channel in range(3):
+            sums[n, channel] += by_pair[k, channel]

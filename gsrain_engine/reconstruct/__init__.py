@@ -1,1 +1,0 @@
-"""Gaussians fitted to captures, and recoloured to given views."""

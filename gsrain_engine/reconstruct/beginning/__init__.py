@@ -1,1 +1,0 @@
-"""What a reconstruction begins with: first Gaussians, sky, ego mask, actors."""

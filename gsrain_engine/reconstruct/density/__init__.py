@@ -1,1 +1,0 @@
-"""Where Gaussians are added, moved and taken away during a training."""

@@ -1,1 +1,0 @@
-"""What is trained: the parameters of splats and the step that changes them."""

@@ -1,1 +1,0 @@
-"""Colours of fixed Gaussians solved for given views."""

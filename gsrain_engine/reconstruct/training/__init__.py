@@ -1,1 +1,0 @@
-"""The training of a scene's Gaussians on a capture's views."""

@@ -1,0 +1,414 @@
+"""Sorted splats in tiles -> an image, front to back: alpha compositing in SIMD with early termination."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float32
+
+from ...scene.camera import Camera
+from ...scene.scene import Part
+from .fast_math import FAST, exp_of_negative, power
+from .projection import LEAST_SCENE_CUT, Splats, project
+from .tiles import TILE, TileLists, bin_into_tiles
+
+MAX_ALPHA = np.float32(0.999)
+"""No fragment is opaque, as in the reference rasterizer."""
+
+MIN_TRANSMITTANCE = np.float32(1e-4)
+"""A pixel is finished by the splat that leaves less than this.
+
+3DGS (Kerbl et al. 2023) stops before that splat, which loses up to a tenth of a pixel all at once: a drop that hardly
+dims a pixel could switch such a splat off. Blended, what is left out is never more than this.
+"""
+
+BATCH = 32
+"""Splats between two looks at whether a whole tile is finished."""
+
+
+def composite(
+    shapes: Float32[np.ndarray, "m 8"], channels: Float32[np.ndarray, "m 4"], tiles: TileLists
+) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"]]:
+    """Blend four channels a splat over nothing. Returns the first three with alpha, and the fourth.
+
+    Each pixel gets sum_i w_i channel_i with w_i = alpha_i * prod_{j<i} (1 - alpha_j), alpha from `shapes` (see
+    `Splats`), at most `MAX_ALPHA`, until transmittance has fallen below `MIN_TRANSMITTANCE`. The same bytes at any
+    thread count.
+    """
+    rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
+    fourth = np.empty((tiles.height, tiles.width), np.float32)
+    _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, None, None, None)
+    return rgba, fourth
+
+
+def composite_with_veil(
+    shapes: Float32[np.ndarray, "m 8"],
+    channels: Float32[np.ndarray, "m 4"],
+    veil: Float32[np.ndarray, "3"],
+    tiles: TileLists,
+) -> Float32[np.ndarray, "h w 4"]:
+    """Blend as `composite` does where the rain among the splats is all of one colour, `veil`: cheaper a drop."""
+    rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
+    fourth = np.empty((tiles.height, tiles.width), np.float32)
+    _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, None, None, veil)
+    return rgba
+
+
+def composite_in_rain(
+    shapes: Float32[np.ndarray, "m 8"],
+    channels: Float32[np.ndarray, "m 4"],
+    light_linear: Float32[np.ndarray, "3"],
+    tiles: TileLists,
+) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+    """Blend the scene's splats as `composite` does, and let rain of one colour fall before and among them.
+
+    With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, the share of the scene and
+    that of the rain are the sums of alpha_i T_i over their own splats. Behind what is opaque no rain is seen either.
+    `add_rain_light` makes the picture of them. Returns it, and the fourth channel and alpha of the scene alone.
+    """
+    rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
+    fourth = np.empty((tiles.height, tiles.width), np.float32)
+    alpha = np.empty((tiles.height, tiles.width), np.float32)
+    _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, light_linear, alpha, None)
+    return rgba, fourth, alpha
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def alpha_of(power, log_cut):
+    """Alpha of a fragment from its logarithm; 0 below the cut."""
+    alpha = exp_of_negative(power)
+    alpha = alpha if alpha < MAX_ALPHA else MAX_ALPHA
+    return alpha if power >= log_cut else np.float32(0)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_linear, clear_alpha, veil):
+    """Compiled three times: without rain, where the last three are None, with its light, and with its colour."""
+    height, width = fourth.shape
+    rows = (len(starts) - 1) // columns
+    for place in numba.prange(len(starts) - 1):
+        # Threads take ranges: column by column, so that each has sky and road alike.
+        tile = place % rows * columns + place // rows
+        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        u0, v0 = np.float32(x0 + 0.5), np.float32(y0 + 0.5)
+        # A column's lines of TILE numbers: transmittance (0 once finished), four channels, alpha; for rain see
+        # rain_light.
+        lines = RAIN_LINES if light_linear is not None else 6 if veil is None else 7
+        state = np.zeros((TILE, lines * TILE), np.float32)
+        state[: width - x0, : min(TILE, height - y0)] = 1
+        if light_linear is not None:
+            state[:, OPEN : OPEN + TILE] = 1
+        # What lies far apart in memory is brought together first: its many misses of the cache then wait at once.
+        near_shapes, near_channels = np.empty((BATCH, 8), np.float32), np.empty((BATCH, 4), np.float32)
+        for first in range(starts[tile], starts[tile + 1], BATCH):
+            if is_finished(state):
+                break
+            batch = members[first : min(first + BATCH, starts[tile + 1])]
+            for j in range(len(batch)):
+                for i in range(8):
+                    near_shapes[j, i] = shapes[batch[j], i]
+                for i in range(4):
+                    near_channels[j, i] = channels[batch[j], i]
+            for j in range(len(batch)):
+                if light_linear is not None and near_shapes[j, 6] < LEAST_SCENE_CUT:
+                    _blend_rain(near_shapes[j], u0, v0, state)
+                elif veil is not None and near_shapes[j, 6] < LEAST_SCENE_CUT:
+                    _blend_veil(near_shapes[j], u0, v0, state)
+                else:
+                    _blend(near_shapes[j], near_channels[j], u0, v0, state)
+        for u in range(min(TILE, width - x0)):
+            line = state[u]
+            if light_linear is not None:
+                for v in range(min(TILE, height - y0)):
+                    clear_alpha[y0 + v, x0 + u] = line[5 * TILE + v]
+                add_rain_light(line, light_linear)
+            if veil is not None:
+                for v in range(TILE):
+                    share = line[v + VEIL_SHARE]
+                    line[v + TILE] += share * veil[0]
+                    line[v + 2 * TILE] += share * veil[1]
+                    line[v + 3 * TILE] += share * veil[2]
+                    line[v + 5 * TILE] += share
+        for v in range(min(TILE, height - y0)):
+            for u in range(min(TILE, width - x0)):
+                rgba[y0 + v, x0 + u, 0] = state[u, TILE + v]
+                rgba[y0 + v, x0 + u, 1] = state[u, 2 * TILE + v]
+                rgba[y0 + v, x0 + u, 2] = state[u, 3 * TILE + v]
+                rgba[y0 + v, x0 + u, 3] = state[u, 5 * TILE + v]
+                fourth[y0 + v, x0 + u] = state[u, 4 * TILE + v]
+
+
+@numba.njit(inline="always")
+@no_type_check
+def is_finished(state):
+    """Whether no pixel of a tile takes any more light."""
+    for u in range(TILE):
+        line = state[u]
+        largest = np.float32(0)
+        for v in range(TILE):
+            largest = max(largest, line[v])
+        if largest > 0:
+            return False
+    return True
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def columns_of(shape, x0):
+    """First and past-the-last column of a tile that a splat reaches; x0 is the tile's first pixel centre."""
+    low = np.ceil(shape[0] - shape[7] - x0 - np.float32(0.01))
+    high = np.floor(shape[0] + shape[7] - x0 + np.float32(0.01))
+    return int(max(low, np.float32(0))), int(min(high, np.float32(TILE - 1))) + 1
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _blend(shape, channels, x0, y0, state):
+    first, second, third, fourth = channels[0], channels[1], channels[2], channels[3]
+    y, shear, sharpness, log_cut = shape[1], shape[2], shape[4], shape[6]
+    left, right = columns_of(shape, x0)
+    for u in range(left, right):
+        dx = np.float32(u) + (x0 - shape[0])
+        peak = shape[5] + shape[3] * dx * dx
+        start = y0 - (y + shear * dx)
+        line = state[u]
+        for v in range(TILE):
+            dy = start + np.float32(v)
+            alpha = alpha_of(sharpness * dy * dy + peak, log_cut)
+            before = line[v]
+            weight = before * alpha
+            after = before - weight
+            line[v] = after if after >= MIN_TRANSMITTANCE else np.float32(0)
+            line[v + TILE] += weight * first
+            line[v + 2 * TILE] += weight * second
+            line[v + 3 * TILE] += weight * third
+            line[v + 4 * TILE] += weight * fourth
+            line[v + 5 * TILE] += weight
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _blend_rain(shape, x0, y0, state):
+    """Let a rain splat shine and cover what is behind it; the lines of the clear scene stay as they are.
+
+    Of all that enters a pixel, `taken` meets its first drop here. On its way the scene had covered A of that; the rest
+    sees the drop.
+    """
+    y, shear, sharpness, log_cut = shape[1], shape[2], shape[4], shape[6]
+    left, right = columns_of(shape, x0)
+    for u in range(left, right):
+        dx = np.float32(u) + (x0 - shape[0])
+        peak = shape[5] + shape[3] * dx * dx
+        start = y0 - (y + shear * dx)
+        line = state[u]
+        for v in range(TILE):
+            dy = start + np.float32(v)
+            taken = line[v + OPEN] * alpha_of(sharpness * dy * dy + peak, log_cut)
+            line[v + OPEN] -= taken
+            line[v + RAIN_SHARE] += taken * line[v]
+            line[v + SCENE_SHARE] += taken * line[v + 5 * TILE]
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _blend_veil(shape, x0, y0, state):
+    """Let a splat cover what is behind it; its colour comes on at the end, by its share."""
+    y, shear, sharpness, log_cut = shape[1], shape[2], shape[4], shape[6]
+    left, right = columns_of(shape, x0)
+    for u in range(left, right):
+        dx = np.float32(u) + (x0 - shape[0])
+        peak = shape[5] + shape[3] * dx * dx
+        start = y0 - (y + shear * dx)
+        line = state[u]
+        for v in range(TILE):
+            dy = start + np.float32(v)
+            alpha = alpha_of(sharpness * dy * dy + peak, log_cut)
+            share = line[v] * alpha
+            line[v] -= share
+            line[v + VEIL_SHARE] += share
+
+
+# § Adds the rain's light to the scene's in linear space (docs/physics.md, section 6); `rain_resolve.frag`'s twin.
+
+OPEN, RAIN_SHARE, SCENE_SHARE = 6 * TILE, 7 * TILE, 8 * TILE
+"""Where a tile's column keeps, behind the lines of `composite`: the product of 1 - alpha of the rain alone, the rain's
+share, and the scene's share before rain; TILE numbers each."""
+
+VEIL_SHARE = 6 * TILE
+"""Where a column keeps the rain's share alone, when its colour comes on at the end."""
+
+RAIN_LINES = 9
+"""Lines of a column in rain."""
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def add_rain_light(line: Float32[np.ndarray, " nine_tiles"], light_linear: Float32[np.ndarray, "3"]) -> None:
+    """Put a column's scene and the drops before and in it together, in place of the scene's colour and alpha.
+
+    With the scene's premultiplied colour B and alpha A, its share W_s, the rain's share W_r and a drop's colour S in
+    linear light: enc(min(W_s / A, 1) dec(B) + W_r S), alpha W_r + W_s. Where there is no rain, B and A bit for bit.
+    """
+    wettest = np.float32(0)
+    for v in range(TILE):
+        wettest = max(wettest, line[v + RAIN_SHARE])
+    if wettest == 0:
+        return
+    # One channel after the other: only numbers that lie side by side become SIMD.
+    for v in range(TILE):
+        alpha = line[v + 5 * TILE]
+        scene = line[v + SCENE_SHARE] + line[v + OPEN] * alpha
+        line[v + OPEN] = min(scene / alpha, np.float32(1)) if alpha > 0 else np.float32(1)
+        line[v + 5 * TILE] = line[v + RAIN_SHARE] + scene if line[v + RAIN_SHARE] > 0 else alpha
+    for channel in range(3):
+        for v in range(TILE):
+            rain, before = line[v + RAIN_SHARE], line[v + (1 + channel) * TILE]
+            mixed = _to_display(line[v + OPEN] * _to_linear(before) + rain * light_linear[channel])
+            line[v + (1 + channel) * TILE] = mixed if rain > 0 else before
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _to_linear(display):
+    """The sRGB transfer function (IEC 61966-2-1) without a branch. Colours of Gaussians are never negative."""
+    least, most = np.float32(0.04045), np.float32(1e9)
+    bounded = min(max(display, least), most)
+    curve = power((bounded + np.float32(0.055)) * np.float32(1 / 1.055), np.float32(2.4))
+    return curve if display > least else display * np.float32(1 / 12.92)
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _to_display(linear):
+    least = np.float32(0.0031308)
+    curve = np.float32(1.055) * power(max(linear, least), np.float32(1 / 2.4)) - np.float32(0.055)
+    return curve if linear > least else np.float32(12.92) * linear
+
+
+# § The transpose of compositing: what each splat gathers from an image through its own weights.
+
+
+def accumulate(
+    shapes: Float32[np.ndarray, "m 8"], image: Float32[np.ndarray, "h w 3"], tiles: TileLists
+) -> Float32[np.ndarray, "m 4"]:
+    """Sum w(pixel) * image(pixel) over all pixels, a splat; the fourth column is the sum of w^2.
+
+    The weights w are those of `composite`: blending is image = W colors, this is W^T image and the diagonal of W^T W.
+    A splat's sum over each tile is taken by itself, then those in tile order: the same bytes at any thread count.
+    """
+    by_pair = np.zeros((len(tiles.members), 4), np.float32)
+    _accumulate(shapes, tiles.starts, tiles.members, tiles.columns, image, by_pair)
+    sums = np.zeros((len(shapes), 4), np.float32)
+    _add_pairs(tiles.members, by_pair, sums)
+    return sums
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _add_pairs(members, by_pair, sums):
+    for k in range(len(members)):
+        n = members[k]
+        for channel in range(4):
+            sums[n, channel] += by_pair[k, channel]
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _accumulate(shapes, starts, members, columns, image, by_pair):
+    height, width = image.shape[0], image.shape[1]
+    rows = (len(starts) - 1) // columns
+    for place in numba.prange(len(starts) - 1):
+        # Column by column, as in compositing.
+        tile = place % rows * columns + place // rows
+        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        # One line a column: transmittance (0 once finished) and the image's three channels.
+        state = np.zeros((TILE, 4 * TILE), np.float32)
+        state[: width - x0, : min(TILE, height - y0)] = 1
+        for v in range(min(TILE, height - y0)):
+            for u in range(min(TILE, width - x0)):
+                for channel in range(3):
+                    state[u, (channel + 1) * TILE + v] = image[y0 + v, x0 + u, channel]
+        lanes = np.empty(4 * TILE, np.float32)
+        for k in range(starts[tile], starts[tile + 1]):
+            if (k - starts[tile]) % BATCH == 0 and is_finished(state):
+                break
+            lanes[:] = 0
+            _gather(shapes[members[k]], np.float32(x0 + 0.5), np.float32(y0 + 0.5), state, lanes)
+            for channel in range(4):
+                total = np.float32(0)
+                for u in range(TILE):
+                    total += lanes[channel * TILE + u]
+                by_pair[k, channel] = total
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _gather(shape, x0, y0, state, lanes):
+    """Walk the same pixels with the same weights as compositing does; one lane a row of the tile."""
+    y, shear, sharpness, log_cut = shape[1], shape[2], shape[4], shape[6]
+    left, right = columns_of(shape, x0)
+    for u in range(left, right):
+        dx = np.float32(u) + (x0 - shape[0])
+        peak = shape[5] + shape[3] * dx * dx
+        start = y0 - (y + shear * dx)
+        line = state[u]
+        for v in range(TILE):
+            dy = start + np.float32(v)
+            alpha = alpha_of(sharpness * dy * dy + peak, log_cut)
+            before = line[v]
+            weight = before * alpha
+            after = before - weight
+            line[v] = after if after >= MIN_TRANSMITTANCE else np.float32(0)
+            lanes[v] += weight * line[v + TILE]
+            lanes[v + TILE] += weight * line[v + 2 * TILE]
+            lanes[v + 2 * TILE] += weight * line[v + 3 * TILE]
+            lanes[v + 3 * TILE] += weight * weight
+
+
+# § One view as a linear operator on the Gaussians' colours: image = W colours, never storing W.
+
+_LEAST_ALPHA = np.float32(1e-3)
+"""Where alpha is below this nothing is there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewWeights:
+    """Splats of one view and their tiles: all that is needed to blend any colours, and to go back.
+
+    Colours here are linear: the max(0, .) that a renderer puts on a splat's colour is not part of W.
+    """
+
+    splats: Splats
+    tiles: TileLists
+
+    def blend(self, channels: Float32[np.ndarray, "m c"]) -> Float32[np.ndarray, "h w c"]:
+        """W times up to four channels of the splats: the premultiplied image."""
+        c = channels.shape[1]
+        padded = np.zeros((len(channels), 4), np.float32)
+        padded[:, :c] = channels
+        rgba, fourth = composite(self.splats.shapes, padded, self.tiles)
+        return np.ascontiguousarray(rgba[..., :c]) if c < 4 else np.dstack([rgba[..., :3], fourth])
+
+    def accumulate(self, image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "m 3"]:
+        """W transposed times an image: what each splat gathers from it."""
+        return accumulate(self.splats.shapes, image, self.tiles)[:, :3]
+
+    def squared_sums(self) -> Float32[np.ndarray, " m"]:
+        """Sum of each splat's squared weights: the diagonal of W transposed times W."""
+        nothing = np.zeros((self.tiles.height, self.tiles.width, 3), np.float32)
+        return accumulate(self.splats.shapes, nothing, self.tiles)[:, 3]
+
+
+def view_weights(parts: Sequence[Part], camera: Camera) -> ViewWeights:
+    """Project, sort and bin the parts for one camera (in the world, metres)."""
+    splats = project(parts, camera)
+    return ViewWeights(splats, bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height))
+
+
+def expected(weighted: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Mean of a blended channel over what was blended; 0 where there is nothing."""
+    return np.where(weight > _LEAST_ALPHA, weighted / np.maximum(weight, _LEAST_ALPHA), np.float32(0))

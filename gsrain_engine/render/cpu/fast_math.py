@@ -1,0 +1,113 @@
+"""Exponentials and powers in steps that LLVM turns into SIMD inside compiled code; those of libm it can't."""
+
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float32
+
+FAST = {"contract", "nsz", "arcp"}
+"""Rounding freedom of the kernels: fused multiply-add and reciprocals, but infinities and order stay as written."""
+
+_ROOT_HALF = 0x3F3504F3  # the bits of sqrt(1/2) as float32
+
+
+@numba.njit(inline="always")
+@no_type_check
+def exp_of_negative(x):
+    """exp(x) for x in [-11.1, 0] to 5e-6 relative, exactly 1 at 0.
+
+    A polynomial of degree 5 for exp(x / 16) on [-0.694, 0] (least squares at Chebyshev nodes), squared four times:
+    nothing in it keeps LLVM from turning it into SIMD. Smaller x count as -11.1, whose exp is below every cut.
+    """
+    x = x if x > np.float32(-11.1) else np.float32(-11.1)
+    x = x * np.float32(0.0625)
+    p = np.float32(0.0058943)
+    p = p * x + np.float32(0.0398607)
+    p = p * x + np.float32(0.16603369)
+    p = p * x + np.float32(0.49990045)
+    p = p * x + np.float32(0.99999476)
+    p = p * x + np.float32(1)
+    p = p * p
+    p = p * p
+    p = p * p
+    return p * p
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def power(x, exponent):
+    """Raise a positive x to an exponent, to 1e-6 relative, in steps that LLVM turns into SIMD (powf it can't).
+
+    2^(exponent log2 x). Of x = m 2^e with m in [sqrt(1/2), sqrt(2)) the bits give e; log2 m is a polynomial of degree 9
+    and 2^f on [-1/2, 1/2] one of degree 6 (least squares at Chebyshev nodes).
+    """
+    bits = np.int32(np.float32(x).view(np.int32) - _ROOT_HALF)
+    e = np.int32(bits >> 23)
+    t = np.int32((bits & 0x7FFFFF) + _ROOT_HALF).view(np.float32) - np.float32(1)
+    p = np.float32(0.12614846)
+    p = p * t + np.float32(-0.20742103)
+    p = p * t + np.float32(0.21566986)
+    p = p * t + np.float32(-0.23892035)
+    p = p * t + np.float32(0.28791833)
+    p = p * t + np.float32(-0.36070484)
+    p = p * t + np.float32(0.4809106)
+    p = p * t + np.float32(-0.72134733)
+    p = p * t + np.float32(1.442695)
+    y = exponent * (p * t + np.float32(e))
+    whole = np.floor(y + np.float32(0.5))
+    f = y - whole
+    q = np.float32(1.5469732e-4)
+    q = q * f + np.float32(1.3400433e-3)
+    q = q * f + np.float32(9.6180253e-3)
+    q = q * f + np.float32(5.5503272e-2)
+    q = q * f + np.float32(0.24022651)
+    q = q * f + np.float32(0.69314718)
+    q = q * f + np.float32(1)
+    return q * np.int32((np.int32(whole) + 127) << 23).view(np.float32)
+
+
+# § Real spherical harmonics up to degree 3 inside compiled code, in the order and sign of 3DGS.
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def sh_basis(x: np.float32, y: np.float32, z: np.float32, coefficients: int, basis: Float32[np.ndarray, "16"]) -> None:
+    """Write the harmonics of the unit direction (x, y, z), eye to Gaussian, into the first places of `basis`.
+
+    `coefficients` is 1, 4, 9 or 16. Constants as in 3DGS (Kerbl et al. 2023).
+    """
+    basis[0] = np.float32(0.28209479177387814)
+    if coefficients > 1:
+        basis[1] = np.float32(-0.4886025119029199) * y
+        basis[2] = np.float32(0.4886025119029199) * z
+        basis[3] = np.float32(-0.4886025119029199) * x
+    if coefficients > 4:
+        basis[4] = np.float32(1.0925484305920792) * x * y
+        basis[5] = np.float32(-1.0925484305920792) * y * z
+        basis[6] = np.float32(0.31539156525252005) * (np.float32(2) * z * z - x * x - y * y)
+        basis[7] = np.float32(-1.0925484305920792) * x * z
+        basis[8] = np.float32(0.5462742152960396) * (x * x - y * y)
+    if coefficients > 9:
+        basis[9] = np.float32(-0.5900435899266435) * y * (np.float32(3) * x * x - y * y)
+        basis[10] = np.float32(2.890611442640554) * x * y * z
+        basis[11] = np.float32(-0.4570457994644658) * y * (np.float32(4) * z * z - x * x - y * y)
+        basis[12] = (
+            np.float32(0.3731763325901154) * z * (np.float32(2) * z * z - np.float32(3) * x * x - np.float32(3) * y * y)
+        )
+        basis[13] = np.float32(-0.4570457994644658) * x * (np.float32(4) * z * z - x * x - y * y)
+        basis[14] = np.float32(1.445305721320277) * z * (x * x - y * y)
+        basis[15] = np.float32(-0.5900435899266435) * x * (x * x - np.float32(3) * y * y)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def harmonics(directions: Float32[np.ndarray, "m 3"], coefficients: int) -> Float32[np.ndarray, "m k"]:
+    """Evaluate the first 1, 4, 9 or 16 harmonics in unit directions, eye to Gaussian, in the object's own frame."""
+    values = np.empty((len(directions), coefficients), np.float32)
+    for chunk in numba.prange((len(directions) + 1023) // 1024):
+        basis = np.empty(16, np.float32)
+        for n in range(chunk * 1024, min(len(directions), (chunk + 1) * 1024)):
+            sh_basis(directions[n, 0], directions[n, 1], directions[n, 2], coefficients, basis)
+            values[n] = basis[:coefficients]
+    return values

@@ -1,0 +1,282 @@
+"""Draws scene and rain on the CPU, behind the same interface as the OpenGL renderer."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float32, Int32
+
+from ...malloc_tuning import keep_freed_memory
+from ...rain.simulation import FallingRain
+from ...scene.camera import Camera
+from ...scene.scene import Part
+from ..images import heat_colors, layer_color
+from ..renderer import FARTHEST_M, MOST_FRAGMENTS, NEAREST_M, Frame, Look, RenderStatistics, Stopwatch
+from .compositing import BATCH, columns_of, composite, composite_in_rain, composite_with_veil, is_finished
+from .fast_math import FAST
+from .projection import TINT, TINT_SHARE, Splats, project
+from .tiles import TILE, TileLists, bin_into_tiles
+
+
+class CpuRenderer:
+    """Renders scene and rain into one picture. Needs no OpenGL; the same bytes at any number of threads."""
+
+    name = "cpu"
+
+    def __init__(self) -> None:
+        keep_freed_memory()
+        self.statistics = RenderStatistics()
+        self._frame: Frame | None = None
+
+    def draw(
+        self,
+        parts: Sequence[Part],
+        camera: Camera,
+        rain: FallingRain | None = None,
+        *,
+        with_depth: bool = False,
+        look: Look = "splats",
+    ) -> None:
+        self.statistics = RenderStatistics(stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0})
+        with self._timed("project"):
+            falling = rain if look == "splats" and rain is not None and len(rain.gaussians) else None
+            splats = self._project(parts, camera, falling, as_points=look == "points")
+            splats = in_colors_of(look, splats, parts, camera)
+        with self._timed("sort"):
+            order = splats.nearest_first()
+            tiles = bin_into_tiles(splats.shapes, order, camera.width, camera.height)
+        with self._timed("draw"):
+            if falling is None:
+                self._frame = draw_look(look, splats, tiles, with_depth=with_depth)
+            else:
+                self._frame = draw_in_rain(splats, order, tiles, falling, with_depth=with_depth)
+        self.statistics.splats_drawn = len(order)
+
+    def read(self) -> Frame:
+        assert self._frame is not None, "draw before reading the picture"
+        return self._frame
+
+    def _project(self, parts: Sequence[Part], camera: Camera, rain: FallingRain | None, *, as_points: bool) -> Splats:
+        self.statistics.gaussians = sum(part.drawn_count for part in parts)
+        if rain is None:
+            return project(parts, camera, as_points=as_points)
+        drops = rain.gaussians
+        self.statistics.drops_drawn, self.statistics.haze_drawn = rain.drops_drawn, rain.haze_drawn
+        return project([*parts, Part(drops, np.eye(4))], camera, [*[None] * len(parts), np.ones(len(drops), bool)])
+
+    def _timed(self, stage: str) -> Stopwatch:
+        return Stopwatch(self.statistics.stages_ms, stage)
+
+
+# § Splats in tiles -> a picture: of the scene, of scene and rain, or of what the scene is made of.
+
+_LEAST_WEIGHT = np.float32(0.5)
+"""Pixels that the scene covers less than this have no depth, as in the OpenGL renderer."""
+
+
+def draw_look(look: Look, splats: Splats, tiles: TileLists, *, with_depth: bool) -> Frame:
+    """Draw a scene without rain; depth is that of all splats' blending, whatever the look."""
+    if look == "ellipsoids" and not with_depth:
+        return Frame(nearest_surfaces(splats.shapes, splats.colors, tiles))
+    if look == "overdraw" and not with_depth:
+        return Frame(_heat_of_counts(count_fragments(splats.shapes, tiles)))
+    rgba, weighted = composite(splats.shapes, splats.colors, tiles)
+    depth = _expected_depth(weighted, rgba[..., 3]) if with_depth or look == "depth" else None
+    if look == "ellipsoids":
+        rgba = nearest_surfaces(splats.shapes, splats.colors, tiles)
+    elif look == "overdraw":
+        rgba = _heat_of_counts(count_fragments(splats.shapes, tiles))
+    elif look == "depth" and depth is not None:
+        rgba = _heat_of_depth(depth)
+    return Frame(rgba, depth)
+
+
+def draw_in_rain(
+    splats: Splats, order: Int32[np.ndarray, " drawn"], tiles: TileLists, rain: FallingRain, *, with_depth: bool
+) -> Frame:
+    """Draw scene and rain through each other; `tiles` hold the splats in that order."""
+    if rain.mixing == "linear":
+        rgba, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
+    else:  # one more colour (the paper's form)
+        rgba = composite_with_veil(splats.shapes, splats.colors, rain.color.astype(np.float32), tiles)
+        if not with_depth:
+            return Frame(rgba)
+        alone = bin_into_tiles(splats.shapes, order[~splats.is_rain[order]], tiles.width, tiles.height)
+        clear, weighted = composite(splats.shapes, splats.colors, alone)
+        weight = clear[..., 3]
+    return Frame(rgba, _expected_depth(weighted, weight) if with_depth else None)
+
+
+def _expected_depth(
+    weighted: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w"]:
+    return np.where(weight > _LEAST_WEIGHT, weighted / np.maximum(weight, _LEAST_WEIGHT), np.float32(0))
+
+
+def _heat_of_depth(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 4"]:
+    t = np.log(np.maximum(depth, np.float32(1e-9)) / NEAREST_M) / np.log(FARTHEST_M / NEAREST_M)
+    return _heat_where(t.astype(np.float32), depth > 0)
+
+
+def _heat_of_counts(counts: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 4"]:
+    return _heat_where(counts / np.float32(MOST_FRAGMENTS), counts > 0)
+
+
+def _heat_where(numbers: Float32[np.ndarray, "h w"], there: np.ndarray) -> Float32[np.ndarray, "h w 4"]:
+    return np.where(there[..., None], np.dstack([heat_colors(numbers), np.ones_like(numbers)]), np.float32(0))
+
+
+# § Other colours for splats: what they are rather than how they look.
+
+
+def in_colors_of(look: Look, splats: Splats, parts: Sequence[Part], camera: Camera) -> Splats:
+    """Colour the splats of `parts` by their normals, opacity or layer; any other look leaves them as they are.
+
+    What is selected is tinted here, too.
+    """
+    if look not in ("normals", "opacity", "layers"):
+        return splats
+    colors = splats.colors.copy()
+    drawn = np.flatnonzero(colors[:, 3])
+    ends = np.cumsum([0, *(len(part.gaussians) for part in parts)])
+    bounds = np.searchsorted(splats.indices[drawn], ends)
+    for number, part in enumerate(parts):
+        g, rows = part.gaussians, drawn[bounds[number] : bounds[number + 1]]
+        members = splats.indices[rows] - ends[number]
+        if look == "normals":
+            to_world = np.ascontiguousarray(part.to_world, np.float64)
+            _normal_colors(rows, members, g.means, g.scales, g.quaternions, to_world, camera.position, colors)
+        elif look == "opacity":
+            colors[rows, :3] = heat_colors(g.opacities[members] * np.float32(part.opacity))
+        else:
+            colors[rows, :3] = layer_color(number)
+        if part.selected is not None:
+            tinted = rows[part.selected.flags[members]]
+            colors[tinted, :3] += np.float32(TINT_SHARE) * (np.array(TINT, np.float32) - colors[tinted, :3])
+    return replace(splats, colors=colors)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _normal_colors(rows, members, means, scales, quaternions, to_world, eye, colors):
+    """0.5 + 0.5 n of each Gaussian's shortest axis n in the world, turned to the eye; `rows` are those in `colors`."""
+    for n in numba.prange(len(rows)):
+        i = members[n]
+        w, x, y, z = quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]
+        w, x, y, z = np.float64(w), np.float64(x), np.float64(y), np.float64(z)
+        if scales[i, 0] <= scales[i, 1] and scales[i, 0] <= scales[i, 2]:
+            a, b, c = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
+        elif scales[i, 1] <= scales[i, 2]:
+            a, b, c = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
+        else:
+            a, b, c = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
+        length = facing = 0.0
+        for k in range(3):
+            normal = to_world[k, 0] * a + to_world[k, 1] * b + to_world[k, 2] * c
+            mean = to_world[k, 0] * means[i, 0] + to_world[k, 1] * means[i, 1] + to_world[k, 2] * means[i, 2]
+            facing += normal * (mean + to_world[k, 3] - eye[k])
+            length += normal * normal
+        half = (-0.5 if facing > 0 else 0.5) / max(np.sqrt(length), 1e-300)
+        for k in range(3):
+            normal = to_world[k, 0] * a + to_world[k, 1] * b + to_world[k, 2] * c
+            colors[rows[n], k] = 0.5 + half * normal
+
+
+# § How many fragments a pixel is made of.
+
+
+def count_fragments(shapes: Float32[np.ndarray, "m 8"], tiles: TileLists) -> Float32[np.ndarray, "h w"]:
+    """Count the splats whose alpha in a pixel is not below their cut, also those behind what is opaque."""
+    counts = np.empty((tiles.height, tiles.width), np.float32)
+    _count(shapes, tiles.starts, tiles.members, tiles.columns, counts)
+    return counts
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _count(shapes, starts, members, columns, counts):
+    height, width = counts.shape
+    for tile in numba.prange(len(starts) - 1):
+        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        state = np.zeros((TILE, TILE), np.float32)
+        for k in range(starts[tile], starts[tile + 1]):
+            _count_pixels(shapes[members[k]], np.float32(x0 + 0.5), np.float32(y0 + 0.5), state)
+        for v in range(min(TILE, height - y0)):
+            for u in range(min(TILE, width - x0)):
+                counts[y0 + v, x0 + u] = state[u, v]
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _count_pixels(shape, x0, y0, state):
+    left, right = columns_of(shape, x0)
+    for u in range(left, right):
+        dx = np.float32(u) + (x0 - shape[0])
+        peak = shape[5] + shape[3] * dx * dx
+        start = y0 - (shape[1] + shape[2] * dx)
+        for v in range(TILE):
+            dy = start + np.float32(v)
+            state[u, v] += np.float32(1) if shape[4] * dy * dy + peak >= shape[6] else np.float32(0)
+
+
+# § The nearest ellipsoid in each pixel: Gaussians as solid bodies.
+
+SURFACE_ALPHA = 1 / 4
+"""A Gaussian's surface is where its alpha is this."""
+
+_LOG_SURFACE_ALPHA = np.float32(np.log(SURFACE_ALPHA))
+
+
+def nearest_surfaces(
+    shapes: Float32[np.ndarray, "m 8"], colors: Float32[np.ndarray, "m 4"], tiles: TileLists
+) -> Float32[np.ndarray, "h w 4"]:
+    """Colour each pixel as the nearest splat whose alpha there is at least `SURFACE_ALPHA`, with an alpha of 1.
+
+    Shaded like a ball: full colour in the middle, half of it at the rim. `shapes` and `colors` as in `Splats`.
+    """
+    rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
+    _cover(shapes, colors, tiles.starts, tiles.members, tiles.columns, rgba)
+    return rgba
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _cover(shapes, colors, starts, members, columns, rgba):
+    height, width = rgba.shape[:2]
+    for tile in numba.prange(len(starts) - 1):
+        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        # A column's lines of TILE numbers: 1 while nothing covers the pixel, three channels.
+        state = np.zeros((TILE, 4 * TILE), np.float32)
+        state[: width - x0, : min(TILE, height - y0)] = 1
+        for k in range(starts[tile], starts[tile + 1]):
+            if (k - starts[tile]) % BATCH == 0 and is_finished(state):
+                break
+            _cover_pixels(shapes[members[k]], colors[members[k]], np.float32(x0 + 0.5), np.float32(y0 + 0.5), state)
+        for v in range(min(TILE, height - y0)):
+            for u in range(min(TILE, width - x0)):
+                for channel in range(3):
+                    rgba[y0 + v, x0 + u, channel] = state[u, (1 + channel) * TILE + v]
+                rgba[y0 + v, x0 + u, 3] = 1 - state[u, v]
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _cover_pixels(shape, color, x0, y0, state):
+    by_height = 1 / (shape[5] - _LOG_SURFACE_ALPHA)
+    left, right = columns_of(shape, x0)
+    for u in range(left, right):
+        dx = np.float32(u) + (x0 - shape[0])
+        fall = shape[3] * dx * dx
+        start = y0 - (shape[1] + shape[2] * dx)
+        line = state[u]
+        for v in range(TILE):
+            dy = start + np.float32(v)
+            power = shape[4] * dy * dy + fall
+            is_hit = line[v] > 0 and shape[5] + power >= _LOG_SURFACE_ALPHA
+            shade = np.float32(0.5) + np.float32(0.5) * np.sqrt(max(1 + power * by_height, np.float32(0)))
+            line[v] = np.float32(0) if is_hit else line[v]
+            for channel in range(3):
+                before = line[v + (1 + channel) * TILE]
+                line[v + (1 + channel) * TILE] = color[channel] * shade if is_hit else before

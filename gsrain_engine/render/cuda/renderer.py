@@ -1,0 +1,141 @@
+"""Draws scene and rain with gsplat on an NVIDIA GPU, behind the same interface as the other renderers.
+
+For data-centre GPUs, which have hardly any graphics pipeline. gsplat has the same conventions as the other back ends:
+0.3 px^2 of dilation, alpha cut at 1/255 and at most 0.999, end at a transmittance of 1e-4 (Ye et al. 2025).
+What has run so far is everything around gsplat, on torch's CPU with a stand-in of its signature made from our own
+rasterizer (tests/raster/gsplat_stand_in.py); gsplat itself, and a GPU, have not been tried with it.
+"""
+
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from ...rain.simulation import FallingRain
+from ...scene.camera import Camera
+from ...scene.scene import Part
+from ..cpu.projection import DILATION_PX2, NEAR_M, project
+from ..renderer import Frame, Look, RenderStatistics, Stopwatch
+from .gaussians import CameraSpace, CudaArrays, Tensor
+from .rain import DepthSlabs, cut_into_slabs, edge_colors, in_rain
+
+torch: Any = import_module("torch")
+
+_LEAST_WEIGHT = 0.5
+"""Pixels that the scene covers less than this have no depth, as in the other renderers."""
+
+
+class CudaRenderer:
+    """Renders scene and rain into one picture.
+
+    Args:
+        rasterize: `gsplat.rasterization`, or a function that takes and returns the same.
+        device: Where torch computes, such as "cuda".
+    """
+
+    name = "cuda"
+
+    def __init__(self, rasterize: Callable[..., tuple[Tensor, Tensor, dict[str, Any]]], device: str) -> None:
+        self.statistics = RenderStatistics()
+        self._rasterize = rasterize
+        self._device = device
+        self._arrays = CudaArrays(device)
+        self._frame: tuple[Tensor, Tensor | None] | None = None
+
+    @property
+    def device_name(self) -> str:
+        return torch.cuda.get_device_name() if self._device.startswith("cuda") else self._device
+
+    def draw(
+        self,
+        parts: Sequence[Part],
+        camera: Camera,
+        rain: FallingRain | None = None,
+        *,
+        with_depth: bool = False,
+        look: Look = "splats",
+    ) -> None:
+        """Draw parts and rain as one compositing; `read` hands out the picture.
+
+        `camera` is in the world (metres). The scene is sorted exactly; rain lies between it in slabs of depth, see
+        `cuda_rain`. Depth is the scene's own.
+
+        Raises:
+            ValueError: For any other look than "splats".
+        """
+        if look != "splats":
+            raise ValueError(f"the cuda back end shows splats only; look at {look} with --backend opengl or cpu")
+        self.statistics = RenderStatistics(stages_ms={"project": 0.0, "draw": 0.0, "rain": 0.0})
+        falling = rain if rain is not None and len(rain.gaussians) else None
+        with self._timed("project"):
+            scene = self._arrays.before_camera(list(parts), camera)
+        slabs: DepthSlabs | None = None
+        if falling is not None:
+            with self._timed("rain"):
+                drops = Part(falling.gaussians, np.eye(4))
+                slabs = cut_into_slabs(project([drops], camera, [np.ones(drops.drawn_count, np.bool_)]))
+        with self._timed("draw"):
+            image, alpha = self._composited(scene, camera, slabs)
+            rgba = torch.cat([image[..., :3], alpha], dim=-1)
+            depth = _expected_depth(image[..., 3], alpha[..., 0]) if with_depth else None
+        if falling is not None and slabs is not None:
+            with self._timed("rain"):
+                rgba = in_rain(rgba, image[..., 4:], slabs, falling)
+            self.statistics.drops_drawn, self.statistics.haze_drawn = falling.drops_drawn, falling.haze_drawn
+            self.statistics.splats_drawn += len(slabs.shapes)
+        drawn = sum(part.drawn_count for part in parts)
+        self.statistics.gaussians = drawn + (len(falling.gaussians) if falling is not None else 0)
+        self._frame = rgba, depth
+        self._arrays.release_unused()
+
+    def read(self) -> Frame:
+        """Hand out the last picture, with depth if it was drawn."""
+        assert self._frame is not None, "draw before reading the picture"
+        rgba, depth = self._frame
+        return Frame(rgba.cpu().numpy(), depth.cpu().numpy() if depth is not None else None)
+
+    def _composited(self, scene: CameraSpace, camera: Camera, slabs: DepthSlabs | None) -> tuple[Tensor, Tensor]:
+        """Blend colour, depth and, for rain, one channel a slab: (h, w, 4 + slabs) and alpha (h, w, 1)."""
+        depths = scene.means[:, 2]
+        channels = [scene.colors, depths[:, None], *([edge_colors(depths, slabs)] if slabs is not None else [])]
+        colors = torch.cat(channels, dim=1)
+        if not len(depths):  # gsplat takes no empty scene
+            blank = torch.zeros((camera.height, camera.width, colors.shape[1] + 1), device=self._device)
+            return blank[..., :-1], blank[..., -1:]
+        intrinsics = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
+        images, alphas, found = self._rasterize(
+            means=scene.means,
+            quats=scene.quaternions,
+            scales=scene.scales,
+            opacities=scene.opacities,
+            colors=colors,
+            viewmats=torch.eye(4, device=self._device)[None],  # they are in the camera's frame already
+            Ks=torch.tensor(intrinsics, device=self._device)[None],
+            width=camera.width,
+            height=camera.height,
+            near_plane=NEAR_M,
+            eps2d=DILATION_PX2,
+        )
+        self.statistics.splats_drawn = int((found["radii"] > 0).all(dim=-1).sum())
+        return images[0], alphas[0]
+
+    def _timed(self, stage: str) -> "_SynchronizedStopwatch":
+        return _SynchronizedStopwatch(self.statistics.stages_ms, stage, self._device)
+
+
+class _SynchronizedStopwatch(Stopwatch):
+    """Waits for the device at the end of a stage, so that the stage's time is its own."""
+
+    def __init__(self, stages: dict[str, float], stage: str, device: str) -> None:
+        super().__init__(stages, stage)
+        self._device = device
+
+    def __exit__(self, *_: object) -> None:
+        if self._device.startswith("cuda"):
+            torch.cuda.synchronize()
+        super().__exit__()
+
+
+def _expected_depth(weighted: Tensor, weight: Tensor) -> Tensor:
+    return torch.where(weight > _LEAST_WEIGHT, weighted / torch.clamp(weight, min=_LEAST_WEIGHT), 0.0)

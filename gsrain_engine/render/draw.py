@@ -1,0 +1,137 @@
+"""A scene in its rain, seen from a camera at a moment: the one way in which window and command line draw."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float64
+
+from ..rain.shelter_map import roofs_of
+from ..rain.simulation import FallingRain, Rainfall, View
+from ..scene.camera import Camera
+from ..scene.gaussians import Gaussians
+from ..scene.lod_order import growth_of
+from ..scene.scene import Part, Scene
+from .renderer import Color, Look, Renderer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """A moment of a scene from a place. World frame, metres."""
+
+    camera: Camera
+    time_s: float = 0.0
+    velocity_m_s: Float64[np.ndarray, "3"] | None = None
+    """Of the camera; none while it stands."""
+    focal_px: float | None = None
+    """Focal length of the output image where a smaller one is drawn; none takes the camera's."""
+    exposure_share: float = 1.0
+    """Of the shutter time, for one of several sub-frames that share it."""
+
+
+# § Draws a share of a scene's Gaussians for all of them: those that matter most, grown to cover as much.
+
+_Shape = tuple[int, int]
+"""Identity of what growth depends on: scales and opacities."""
+
+
+@dataclass(slots=True)
+class Thinning:
+    """Takes parts whose Gaussians are in their drawing order; remembers what it worked out for each set of them.
+
+    Masks are not looked at: where they leave out much of what matters, the rest is drawn a little too large.
+    """
+
+    share: float
+    _growths: dict[_Shape, tuple[Gaussians, float]] = field(
+        default_factory=dict[_Shape, "tuple[Gaussians, float]"]  # held on to, so that the identity stays taken
+    )
+
+    def __call__(self, part: Part) -> Part:
+        """Leave out all but the share that matters most."""
+        return part._replace(limit=math.ceil(self.share * len(part.gaussians)), growth=self.growth(part.gaussians))
+
+    def growth(self, gaussians: Gaussians) -> float:
+        """How much larger those that are left are drawn; worked out once for all colours of the same Gaussians."""
+        key = _shape(gaussians)
+        if key not in self._growths:
+            self._growths[key] = gaussians, growth_of(gaussians, self.share)
+        return self._growths[key][1]
+
+    def forget_all_but(self, kept: Iterable[Gaussians]) -> None:
+        """Let go of every other set."""
+        keys = {_shape(each) for each in kept}
+        self._growths = {key: known for key, known in self._growths.items() if key in keys}
+
+
+def draw_shot(
+    renderer: Renderer,
+    scene: Scene,
+    rainfall: Rainfall | None,
+    sky: Color,
+    shot: Shot,
+    *,
+    with_depth: bool = False,
+    look: Look = "splats",
+    thinning: Thinning | None = None,
+    selection: bool = False,
+) -> None:
+    """Draw a scene in its rain into the renderer's picture; without it where there is none, or with another look.
+
+    The scene's wet colours come with the rain's wetness; without a rainfall it is clear. `thinning` leaves out some
+    of each part's Gaussians; `selection` tints those that are selected.
+    """
+    falling = rain_in(scene, rainfall, sky, shot) if rainfall is not None and look == "splats" else None
+    wetness = rainfall.wetness_at(shot.time_s) if rainfall is not None else 0.0
+    parts = scene.parts(shot.time_s, selection=selection, wetness=wetness)
+    if thinning is not None:
+        parts = [thinning(part) for part in parts]
+    renderer.draw(parts, shot.camera, falling, with_depth=with_depth, look=look)
+
+
+def rain_in(scene: Scene, rainfall: Rainfall, sky: Color, shot: Shot) -> FallingRain | None:
+    """Rain of a shot as Gaussians; None at 0 mm/h."""
+    return rainfall.at(shot.time_s, rain_view(scene, rainfall, shot), sky)
+
+
+def rain_view(scene: Scene, rainfall: Rainfall, shot: Shot) -> View:
+    """How the rain sees a shot: from where, how fast, around what its regions stand, and under which roofs."""
+    velocity = shot.velocity_m_s if shot.velocity_m_s is not None else np.zeros(3)
+    roofs = roofs_of(scene) if rainfall.rain.roofs else None
+    return View(shot.camera, rain_anchor(scene, rainfall, shot), velocity, shot.focal_px, roofs, shot.exposure_share)
+
+
+def rain_anchor(scene: Scene, rainfall: Rainfall, shot: Shot) -> Float64[np.ndarray, "4 4"]:
+    """Frame that the rain regions stand in.
+
+    The ego vehicle's, levelled, for a camera that rides on it, so that the cameras of a rig see the same drops. Any
+    other camera carries its rain along: the regions stand at its place and turn with its heading.
+    """
+    ego = scene.ego_to_world(shot.time_s)
+    position = shot.camera.position
+    if ego is not None:
+        level = _levelled(ego[:3, 0], ego[:3, 3])
+        local = level[:3, :3].T @ (position - level[:3, 3])
+        region = rainfall.rain.streak_region
+        if np.all(local >= region.minimum_m) and np.all(local <= region.maximum_m):
+            return level
+    return _levelled(shot.camera.world_to_camera[2, :3], position)
+
+
+def _levelled(forward: Float64[np.ndarray, "3"], origin: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
+    length = float(np.hypot(forward[0], forward[1]))
+    x, y = (forward[0] / length, forward[1] / length) if length > 1e-6 else (1.0, 0.0)
+    frame = np.eye(4)
+    frame[:2, :2] = [[x, -y], [y, x]]
+    frame[:3, 3] = origin
+    return frame
+
+
+def thinned(parts: Sequence[Part], thinning: Thinning | None) -> Sequence[Part]:
+    """Thin out every part, or none."""
+    return parts if thinning is None else [thinning(part) for part in parts]
+
+
+def _shape(gaussians: Gaussians) -> _Shape:
+    return id(gaussians.scales), id(gaussians.opacities)

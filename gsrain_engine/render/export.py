@@ -1,0 +1,275 @@
+"""Records a clip: all cameras, passes and the clear twin, frame by frame; the window and the command line run this."""
+
+import shlex
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import UInt8
+
+from ..rain.settings import Rain
+from ..rain.simulation import Rainfall
+from ..scene.camera import Camera
+from ..scene.camera_path import CameraPath
+from ..scene.files import holding
+from ..scene.progress import Progress
+from ..scene.scene import Scene
+from .export_settings import DEFAULT_SIZE_PX, Pass, Recording, outputs, recorded_files
+from .images import FrameSink, open_sink
+from .object_labels import draw_labels, legend
+from .renderer import Frame, Look, Renderer
+from .sequence import FrameSequence, MountedCamera, mounted_cameras
+from .sky_color import Sky
+
+_PREVIEW_PX = 320
+
+_PREVIEW_EVERY_S = 0.5
+
+
+def record(
+    renderer: Renderer,
+    recording: Recording,
+    sequences: Mapping[str, FrameSequence],
+    numbers: Sequence[int],
+    *,
+    look: Look = "splats",
+) -> Iterator[Progress]:
+    """Render and write frames by their numbers; yields after each, with the time that is left.
+
+    Frames are whole, and videos are brought to an end, wherever the caller stops. The same input gives the same bytes.
+
+    Raises:
+        ValueError: For an output that can't be encoded.
+        OSError: When it can't be written; what had been written can be played. `HeldError` where another process does.
+    """
+    with ExitStack() as stack:
+        for path in outputs(recording, list(sequences)):
+            stack.enter_context(holding(path))
+        takes = _open(recording, sequences, stack)
+        yield Progress(0.0, "Looking at the sky")
+        sky = next(iter(sequences.values())).sky(renderer)
+        pace = _Pace(len(numbers))
+        for number in numbers:
+            try:
+                frames = [take.write(renderer, number, sky, look) for take in takes]
+            except OSError as error:
+                raise OSError(_problem(recording, error, pace.done)) from error
+            yield pace.step(frames[-1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Take:
+    """One camera's clip, in the rain or without."""
+
+    sequence: FrameSequence
+    sink: FrameSink
+    passes: frozenset[Pass]
+    is_clear: bool
+
+    def write(self, renderer: Renderer, number: int, sky: Sky, look: Look) -> Frame | None:
+        """Render a frame and write its passes; the renderer's last picture is that of the colours."""
+        labels = frame = None
+        if "labels" in self.passes:
+            shot = self.sequence.shot(number)
+            labels = draw_labels(renderer, self.sequence.scene, shot.camera, shot.time_s)
+        if self.passes - {"labels"}:
+            seen = None if self.is_clear else sky
+            frame = self.sequence.frame(renderer, number, seen, with_depth="depth" in self.passes, look=look)
+        self.sink.write(number, frame, labels)
+        return frame
+
+
+class _Pace:
+    """How far a recording has come, and how long it will take."""
+
+    def __init__(self, frames: int) -> None:
+        self.done = 0
+        self._frames, self._began, self._previewed = frames, -np.inf, -np.inf
+
+    def step(self, frame: Frame | None) -> Progress:
+        """Count a frame; now and then show it."""
+        self.done += 1
+        now, preview = time.perf_counter(), None
+        if frame is not None and now - self._previewed >= _PREVIEW_EVERY_S:
+            preview, self._previewed = _small(frame), now
+        message = f"Frame {self.done:,} of {self._frames:,}"
+        if self.done == 1:  # it loads and compiles what all others use: it says nothing about them
+            self._began = now
+        else:
+            left_s = (now - self._began) / (self.done - 1) * (self._frames - self.done)
+            message += f", {_clock_time(left_s)} left"
+        return Progress(self.done / self._frames, message, preview)
+
+
+def _open(recording: Recording, sequences: Mapping[str, FrameSequence], stack: ExitStack) -> list[_Take]:
+    """One take for each camera, the clear twin before the one in the rain; `stack` closes them."""
+    takes: list[_Take] = []
+    for name, sequence in sequences.items():
+        for is_clear in (True, False) if recording.twin else (False,):
+            files = recorded_files(recording, name if len(sequences) > 1 else None, is_clear=is_clear)
+            size = sequence.width, sequence.height
+            try:
+                sink = stack.enter_context(open_sink(recording, files, size, legend(sequence.scene)))
+            except OSError as error:
+                raise OSError(f"{files.path} can't be written: {error.strerror or error}") from error
+            takes.append(_Take(sequence, sink, files.passes, is_clear))
+    return takes
+
+
+def _clock_time(seconds: float) -> str:
+    """Minutes and seconds, with hours where there are any."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d} h" if minutes >= 60 else f"{minutes}:{rest:02d} min"
+
+
+def _small(frame: Frame) -> UInt8[np.ndarray, "h w 3"]:
+    """Every so many-th pixel of a frame."""
+    step = -(-frame.rgba.shape[1] // _PREVIEW_PX)
+    return np.ascontiguousarray(Frame(frame.rgba[::step, ::step]).to_uint8())
+
+
+def _problem(recording: Recording, error: OSError, done: int) -> str:
+    """Say in one sentence what a disk has against it, and what is left."""
+    reason = error.strerror or str(error)
+    return f"{recording.output} can't be written on after {done} frames: {reason}; what was written before is whole"
+
+
+# § A clip of a scene in the rain, from a scene, a rain and a camera: as files, or frame by frame.
+
+
+def film(
+    renderer: Renderer, recording: Recording, scene: Scene, rain: Rain, camera: Camera | CameraPath
+) -> Iterator[Progress]:
+    """Record a scene in its rain from a camera or along a path of the world (metres, z up); yields after each frame.
+
+    The path's times are those of the scene and the rain. The window's Record panel and `gsrain render` write the same
+    bytes. Where a caller stops, what was written can be played.
+
+    Raises:
+        ValueError: For settings that contradict themselves, and a calibration that the rain names and there is not.
+        OSError: When the output can't be written.
+    """
+    rainfall = Rainfall.start(rain)
+    sequences = sequences_of(recording, scene, rainfall, camera, in_scene_time=True)
+    yield from record(renderer, recording, sequences, frame_numbers(recording, sequences))
+
+
+def film_frames(
+    renderer: Renderer,
+    recording: Recording,
+    scene: Scene,
+    rain: Rain,
+    camera: Camera | CameraPath,
+    *,
+    with_depth: bool = False,
+) -> Iterator[Frame]:
+    """Render the frames that `film` would record, one by one, and write nothing; of `recording` its output is unused.
+
+    Depth is that of the scene in metres, without rain. Raises `ValueError` as `film` does, before the first frame.
+    """
+    rainfall = Rainfall.start(rain)
+    (sequence,) = sequences_of(recording, scene, rainfall, camera, in_scene_time=True).values()
+    numbers = frame_numbers(recording, {"": sequence})
+    return (each.frame for each in sequence.render(renderer, numbers, sequence.sky(renderer), with_depth=with_depth))
+
+
+# § Which cameras a recording shows, in which size, and at which moments.
+
+LONGEST_DEFAULT_S = 10.0
+"""Of a clip that neither a person nor a path of theirs gives a length."""
+
+
+def sequences_of(
+    recording: Recording, scene: Scene, rainfall: Rainfall, viewpoint: Camera | CameraPath, *, in_scene_time: bool
+) -> dict[str, FrameSequence]:
+    """What a recording shows, by the names of its cameras: rig cameras where it names some, else one viewpoint.
+
+    `in_scene_time` says whether a path's times are the scene's own. A still from a path without times is one of a
+    camera at rest. Raises `ValueError` for what contradicts itself.
+    """
+    recording.check()
+    views: dict[str, Camera | CameraPath | MountedCamera] = {"": viewpoint}
+    if recording.cameras:
+        views = _by_name(mounted_cameras(scene, recording.cameras))
+    sequences: dict[str, FrameSequence] = {}
+    for name, view in views.items():
+        width, height = recording.size_px or _own_size(view, recording.first_s)
+        sequences[name] = FrameSequence(
+            scene,
+            rainfall,
+            view,
+            width,
+            height,
+            recording.fps,
+            recording.first_s,
+            in_scene_time and isinstance(view, CameraPath),
+            recording.supersampling,
+            recording.motion_blur,
+            at_rest=recording.is_still and isinstance(view, CameraPath) and not view.is_timed,
+        )
+    return sequences
+
+
+def frame_numbers(recording: Recording, sequences: Mapping[str, FrameSequence]) -> range:
+    """Numbers of the frames between a recording's two moments; without the second, as long as the path is."""
+    if recording.is_still:
+        return range(1)
+    if recording.last_s is not None:
+        return range(max(1, round((recording.last_s - recording.first_s) * recording.fps)))
+    length_s = max(_length_s(each) for each in sequences.values())
+    return range(max(1, round(max(length_s, 1 / recording.fps) * recording.fps)))
+
+
+def _length_s(sequence: FrameSequence) -> float:
+    """All of a drive or of a person's own flight; of anything else so much that its end is seen soon."""
+    length_s = LONGEST_DEFAULT_S if sequence.length_s is None else sequence.length_s
+    is_made = sequence.in_scene_time or isinstance(sequence.camera, MountedCamera)
+    return length_s if is_made else min(LONGEST_DEFAULT_S, length_s)
+
+
+def _by_name(cameras: list[MountedCamera]) -> dict[str, Camera | CameraPath | MountedCamera]:
+    """Name cameras as their files: with the rig in front where there are several rigs."""
+    several = len({each.rig for each in cameras}) > 1
+    return {f"{each.rig}_{each.name}" if several else each.name: each for each in cameras}
+
+
+def _own_size(view: Camera | CameraPath | MountedCamera, time_s: float) -> tuple[int, int]:
+    if isinstance(view, CameraPath):
+        return DEFAULT_SIZE_PX
+    camera = view if isinstance(view, Camera) else view.at(time_s)
+    return camera.width, camera.height
+
+
+# § The command line that records the same as a `Recording`.
+
+_OPTIONS = {
+    "fps": "--fps",
+    "first_s": "--from",
+    "last_s": "--to",
+    "supersampling": "--supersampling",
+    "motion_blur": "--motion-blur",
+    "quality": "--quality",
+}
+
+
+def recording_command(recording: Recording, project: str) -> str:
+    """What to type for the same bytes; `project` is the scene folder."""
+    words = ["gsrain", "render", project, "-o", recording.output]
+    if recording.size_px is not None:
+        words += ["--size", "{}x{}".format(*recording.size_px)]
+    plain = Recording(output=recording.output)
+    for field, option in _OPTIONS.items():
+        value = getattr(recording, field)
+        if value != getattr(plain, field):
+            words += [option, f"{value!r}"]
+    if recording.cameras:
+        words += ["--cameras", ",".join(recording.cameras)]
+    if recording.passes != plain.passes:
+        words += ["--passes", ",".join(recording.passes)]
+    if recording.format != plain.format:
+        words += ["--codec", recording.codec]
+    if recording.twin:
+        words.append("--twin")
+    return shlex.join(words)

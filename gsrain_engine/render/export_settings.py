@@ -1,0 +1,261 @@
+"""What a person asks for when a clip is recorded: one value, its bounds, units and help texts."""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from ..scene.files import shortened
+
+Pass = Literal["color", "depth", "alpha", "labels"]
+
+Codec = Literal["auto", "h264", "vp9", "av1", "png", "jpeg", "exr"]
+
+LARGEST_PX = 16384
+
+Pixels = Annotated[int, Meta(ge=1, le=LARGEST_PX)]
+
+DEFAULT_SIZE_PX = (960, 640)
+
+USUAL_QUALITY = {"h264": 18, "vp9": 24, "av1": 28}
+"""Constant rate factor of each video codec where none is asked for: hardly a difference to be seen."""
+
+DEFAULT_JPEG_QUALITY = 93
+"""With whole chroma: errors of about a level, which rain streaks of one pixel live through."""
+
+_CONTAINERS: dict[str, tuple[str, ...]] = {
+    "h264": (".mp4",),
+    "vp9": (".webm",),
+    "av1": (".webm", ".mp4"),
+    "png": (".png", ""),
+    "jpeg": (".jpg", ".jpeg", ""),
+    "exr": (".exr", ""),
+    "npy": (".npy",),
+}
+"""Endings of the files that each codec goes into, the usual one first; "" is a folder."""
+
+_BY_SUFFIX = {
+    ".mp4": "h264",
+    ".webm": "vp9",
+    ".png": "png",
+    ".jpg": "jpeg",
+    ".jpeg": "jpeg",
+    ".exr": "exr",
+    ".npy": "npy",
+    "": "png",
+}
+
+
+class Recording(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One export. What it shows (scene, rain, path) is the document's."""
+
+    output: Annotated[
+        str,
+        Meta(
+            title="Output",
+            description="PNG, JPEG, EXR or NPY for a still, MP4 or WebM for a video, a folder for numbered frames.",
+        ),
+    ]
+    size_px: Annotated[
+        tuple[Pixels, Pixels] | None,
+        Meta(title="Size", description="Width and height; none takes each rig camera's own.", extra={"unit": "px"}),
+    ] = None
+    fps: Annotated[
+        float, Meta(ge=0.1, le=1000, title="Frame rate", description="Frames a second.", extra={"unit": "1/s"})
+    ] = 30.0
+    first_s: Annotated[
+        float, Meta(ge=-36000, le=36000, title="From", description="Moment of the first frame.", extra={"unit": "s"})
+    ] = 0.0
+    last_s: Annotated[
+        float | None,
+        Meta(title="To", description="Moment at which the clip ends; none: where the path ends.", extra={"unit": "s"}),
+    ] = None
+    supersampling: Annotated[
+        int,
+        Meta(
+            ge=1,
+            le=4,
+            title="Supersampling",
+            description="Draw so many times wider and higher, and take the mean. Which drops exist stays the same.",
+        ),
+    ] = 1
+    motion_blur: Annotated[
+        int,
+        Meta(
+            ge=1,
+            le=64,
+            title="Motion blur",
+            description="k sub-frames over the exposure T, with T/k each, averaged in linear light. 1 is none.",
+        ),
+    ] = 1
+    cameras: Annotated[
+        tuple[str, ...],
+        Meta(
+            title="Cameras",
+            description="Rig cameras: RIG, RIG/NAME, NAME, or all; each gets a file of its own. None takes the path.",
+        ),
+    ] = ()
+    passes: Annotated[
+        tuple[Pass, ...],
+        Meta(
+            min_length=1,
+            title="Passes",
+            description="color; depth (16 bit, cm); alpha (8 bit); labels: which layer or actor a pixel shows.",
+        ),
+    ] = ("color",)
+    twin: Annotated[
+        bool, Meta(title="Clear twin", description="Also the same clip at 0 mm/h, as NAME.clear, for tests in pairs.")
+    ] = False
+    codec: Annotated[
+        Codec,
+        Meta(title="Codec", description="auto goes by the output's ending: H.264 in MP4, VP9 in WebM, PNG frames."),
+    ] = "auto"
+    quality: Annotated[
+        int | None,
+        Meta(
+            title="Quality",
+            description="Constant rate factor of a video, lower is better; none: 18 (H.264), 24 (VP9), 28 (AV1). "
+            "Of JPEG 1 to 100, higher is better; none: 93.",
+            extra={"ge": 0, "le": 63},
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        if self.last_s is not None and not self.first_s < self.last_s <= self.first_s + 36000:
+            raise ValueError(
+                f"last_s must be above first_s ({self.first_s:g} s) by at most 36000 s, got {self.last_s:g}"
+            )
+        if self.quality is not None and self.format == "jpeg":
+            if not 1 <= self.quality <= 100:
+                raise ValueError(f"quality must be within 1..100 (JPEG), got {self.quality}")
+        elif self.quality is not None and not 0 <= self.quality <= (51 if self.format == "h264" else 63):
+            raise ValueError(f"quality must be within 0..51 (H.264) or 0..63 (VP9, AV1), got {self.quality}")
+
+    @property
+    def path(self) -> Path:
+        """The output as a path."""
+        return Path(self.output)
+
+    @property
+    def suffix(self) -> str:
+        """Ending of the output in lower case; "" is a folder."""
+        return self.path.suffix.lower()
+
+    @property
+    def format(self) -> str:
+        """What is written: h264, vp9, av1, png, exr or npy; "" where the ending says nothing known."""
+        return _BY_SUFFIX.get(self.suffix, "") if self.codec == "auto" else self.codec
+
+    @property
+    def usual_suffix(self) -> str:
+        """Ending that a video of this format usually has; "" for frames, which go into a folder."""
+        return _CONTAINERS[self.format][0] if self.is_video else ""
+
+    @property
+    def is_video(self) -> bool:
+        """Whether colour goes into a video."""
+        return self.format in ("h264", "vp9", "av1")
+
+    @property
+    def is_still(self) -> bool:
+        """Whether it is a single picture."""
+        return self.suffix in (".png", ".jpg", ".jpeg", ".exr", ".npy")
+
+    def check(self) -> None:
+        """Raise `ValueError` where output, codec, size and passes contradict one another."""
+        if not self.output.strip():
+            raise ValueError("output is empty: expected the name of a file or folder, such as clip.mp4")
+        if self.suffix not in _BY_SUFFIX:
+            raise ValueError(
+                f"{self.output}: an output ends in .png, .jpg, .npy, .exr, .mp4 or .webm, or is a folder without suffix"
+            )
+        allowed = _CONTAINERS[self.format]
+        if self.suffix not in allowed and not (self.suffix == "" and len(self.cameras) > 0):
+            wanted = " or ".join(each or "nothing (a folder)" for each in allowed)
+            raise ValueError(f"{self.output}: {self.format} needs an output that ends in {wanted}")
+        if self.format == "jpeg" and (others := [each for each in self.passes if each != "color"]):
+            raise ValueError(f"{self.output}: JPEG holds colors alone; for the pass {others[0]} take PNG, EXR or NPY")
+        if self.is_video and self.size_px is not None and any(side % 2 for side in self.size_px):
+            width, height = self.size_px
+            raise ValueError(f"{self.output}: a video needs an even width and height, got {width}x{height}")
+
+
+# § The names of what a recording writes: one file or folder for each camera and its clear twin, passes beside them.
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedFiles:
+    """Files of one camera.
+
+    `still.png` has its passes beside it: `still.depth.png`; so do the frames of a folder: `frames/000007.depth.png`;
+    those of a video get a folder each: `clip.depth/000007.png`. EXR holds colour, alpha and depth in one file.
+    """
+
+    path: Path
+    format: str
+    is_video: bool
+    passes: frozenset[Pass]
+    is_folder: bool
+    """Whether `path` is a folder of frames; its name may have dots in it."""
+
+    def color(self, number: int) -> Path:
+        """Where the colours of a frame go."""
+        ending = "jpg" if self.format == "jpeg" else self.format
+        return self.path / f"{number:06d}.{ending}" if self.is_folder else self.path
+
+    def beside(self, number: int, name: Pass) -> Path:
+        """Where another pass of a frame goes."""
+        kind = "npy" if self.format == "npy" and name == "depth" else "png"
+        if self.is_video:
+            return self._folder(name) / f"{number:06d}.{kind}"
+        if self.is_folder:
+            return self.path / f"{number:06d}.{name}.{kind}"
+        return self.path.with_name(f"{self.path.stem}.{name}.{kind}")
+
+    @property
+    def legend(self) -> Path:
+        """Where the meaning of the labels goes."""
+        if self.is_video:
+            return self._folder("labels") / "labels.json"
+        return self.path / "labels.json" if self.is_folder else self.path.with_name(f"{self.path.stem}.labels.json")
+
+    def roots(self) -> Iterator[Path]:
+        """Every file and folder that is written, without what lies in a folder."""
+        if self.is_folder:
+            yield self.path
+            return
+        inside = {"color", "alpha", "depth"} if self.format == "exr" else {"color"}
+        if self.passes & inside:
+            yield self.path
+        for name in sorted(self.passes - inside):
+            yield self._folder(name) if self.is_video else self.beside(0, name)
+
+    def _folder(self, name: str) -> Path:
+        return self.path.with_name(f"{self.path.stem}.{name}")
+
+
+def recorded_files(recording: Recording, camera: str | None, *, is_clear: bool = False) -> RecordedFiles:
+    """Files of one camera, or of its clear twin, which is called `NAME.clear`; none where there is only one camera.
+
+    Several cameras share a folder: `drive.mp4` becomes `drive/FRONT.mp4`. Depth and labels are the scene's own, with
+    rain or without: the twin does not repeat them.
+    """
+    path, passes = recording.path, frozenset(recording.passes)
+    if camera is not None:
+        suffix = path.suffix or recording.usual_suffix
+        path = path.with_suffix("") / (shortened(re.sub(r"[^\w-]+", "_", camera)) + suffix)
+    is_folder = path.suffix == ""
+    if is_clear:
+        path, passes = path.with_name(f"{path.stem}.clear{path.suffix}"), passes - {"depth", "labels"}
+    return RecordedFiles(path, recording.format, recording.is_video, passes, is_folder)
+
+
+def outputs(recording: Recording, cameras: Sequence[str]) -> list[Path]:
+    """Every file and folder that a recording of these cameras writes."""
+    names = cameras if len(cameras) > 1 else [None]
+    twins = (False, True) if recording.twin else (False,)
+    return [path for name in names for twin in twins for path in recorded_files(recording, name, is_clear=twin).roots()]

@@ -1,0 +1,244 @@
+"""Pictures out: PNG stills and float arrays, whole or not at all."""
+
+import colorsys
+import json
+import struct
+from collections.abc import Generator, Mapping, Set
+from contextlib import contextmanager, nullcontext
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+from jaxtyping import Float32, UInt8, UInt16
+from PIL import Image, ImageCms
+
+from ..scene.files import whole_file
+from ..scene.geometry import linear_to_srgb, srgb_to_linear
+from .export_settings import DEFAULT_JPEG_QUALITY, Pass, RecordedFiles, Recording, recorded_files
+from .renderer import Frame
+from .video import VideoWriter
+
+_PALETTE_COLORS = 255
+"""Labels that fit into an indexed picture of 8 bits, besides 0."""
+
+
+def write_picture(path: Path | str, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
+    """Write an 8-bit picture as PNG; missing folders are made."""
+    _write_png(Path(path), Image.fromarray(pixels))
+
+
+def write_jpeg(path: Path, pixels: UInt8[np.ndarray, "h w 3"], quality: int) -> None:
+    """Write an 8-bit picture as JPEG of a quality 1..100, its chroma whole, with the profile of sRGB inside.
+
+    The same pixels give the same bytes. Missing folders are made.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as beside:
+        Image.fromarray(pixels).save(
+            beside, format="JPEG", quality=quality, subsampling=0, optimize=True, icc_profile=_srgb_profile()
+        )
+
+
+@cache
+def _srgb_profile() -> bytes:
+    """Return the ICC profile of sRGB, with a date that is always the same (bytes 24 to 35 of its header)."""
+    profile = bytearray(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
+    profile[24:36] = struct.pack(">6H", 2000, 1, 1, 0, 0, 0)
+    return bytes(profile)
+
+
+def write_sheet(path: Path, image: Image.Image) -> None:
+    """Write a picture for people in the format that its name says; PNG where that says none."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as beside:
+        image.save(beside, format=Image.registered_extensions().get(path.suffix.lower(), "PNG"))
+
+
+def write_depth(path: Path, depth_m: Float32[np.ndarray, "h w"]) -> None:
+    """Write depth as 16-bit PNG in centimetres; beyond 655.35 m it saturates, 0 is nothing."""
+    _write_png(path, Image.fromarray(np.rint(np.clip(depth_m * 100, 0, 65535)).astype(np.uint16)))
+
+
+def write_alpha(path: Path, alpha: Float32[np.ndarray, "h w"]) -> None:
+    """Write alpha as 8-bit grey PNG; 255 is solid."""
+    _write_png(path, Image.fromarray(np.rint(np.clip(alpha, 0, 1) * 255).astype(np.uint8)))
+
+
+def write_labels(path: Path, labels: UInt16[np.ndarray, "h w"], count: int) -> None:
+    """Write labels 0..count as PNG: indexed, each in a colour of its own; more than 255 as 16-bit grey."""
+    if count > _PALETTE_COLORS:
+        _write_png(path, Image.fromarray(labels))
+        return
+    image = Image.fromarray(labels.astype(np.uint8))
+    colors = [(0.0, 0.0, 0.0), *(layer_color(number) for number in range(count))]
+    image.putpalette([round(255 * channel) for color in colors for channel in color])
+    _write_png(path, image)
+
+
+def write_legend(path: Path, legend: Mapping[str, Any]) -> None:
+    """Write what labels mean as JSON."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as beside:
+        beside.write_text(json.dumps(legend, indent=1) + "\n", encoding="utf-8")
+
+
+def write_array(path: Path, values: Float32[np.ndarray, "..."]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as beside, beside.open("wb") as file:
+        np.save(file, values, allow_pickle=False)
+
+
+def _write_png(path: Path, image: Image.Image) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as beside:
+        image.save(beside, format="PNG")
+
+
+# § OpenEXR out: scene-linear colour and depth, as compositing programs take them.
+
+
+def write_exr(path: Path, frame: Frame, passes: Set[Pass]) -> None:
+    """Write the passes of a frame as one EXR file, whole or not at all.
+
+    RGBA are half floats: linear light with sRGB primaries, multiplied by alpha as OpenEXR wants it; A alone where only
+    alpha is asked for. Z is a 32-bit float: metres along the view axis, 0 where there is nothing. Compression is ZIP,
+    which loses nothing.
+
+    Raises `OSError` where it can't be written.
+    """
+    channels: dict[str, np.ndarray] = {}
+    if "color" in passes:
+        channels["RGBA"] = np.ascontiguousarray(to_light(frame.rgba).astype(np.float16))
+    elif "alpha" in passes:
+        channels["A"] = np.ascontiguousarray(frame.rgba[..., 3].astype(np.float16))
+    if "depth" in passes and frame.depth is not None:
+        channels["Z"] = np.ascontiguousarray(frame.depth)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as beside:
+        try:
+            OpenEXR.File(header, channels).write(str(beside))
+        except RuntimeError as error:  # what its C++ says of a disk
+            raise OSError(str(error)) from None
+
+
+# § Where recorded frames go: a video, a still, or a folder of frames, with the passes beside them.
+
+
+@contextmanager
+def open_sink(
+    recording: Recording, files: RecordedFiles, size_px: tuple[int, int], legend: Mapping[str, Any]
+) -> Generator["FrameSink"]:
+    """Open what takes the frames of one camera; `legend` says what labels mean.
+
+    Raises `ValueError` for what can't be encoded.
+    """
+    video = nullcontext()
+    if files.is_video and "color" in files.passes:
+        codec, quality = recording.format, recording.quality
+        video = VideoWriter(files.path, *size_px, recording.fps, codec=codec, quality=quality)
+    with video as opened:
+        yield FrameSink(files, legend, opened, recording.quality)
+
+
+def write_still(path: Path | str, frame: Frame) -> None:
+    """Write a frame as PNG, JPEG, EXR or NPY, by the ending; the same bytes as a recorded still.
+
+    An EXR file holds the depth, too, where the frame has it; NPY holds premultiplied display colors and alpha. Missing
+    folders are made. Raises `ValueError` for another ending, `OSError` where it can't be written.
+    """
+    has_depth = frame.depth is not None and Path(path).suffix.lower() == ".exr"
+    recording = Recording(output=str(path), passes=("color", "depth") if has_depth else ("color",))
+    if not recording.is_still:
+        raise ValueError(f"{path}: expected the name of an image, which ends in .png, .jpg, .exr or .npy")
+    files = recorded_files(recording, None, is_clear=False)
+    with open_sink(recording, files, (frame.rgba.shape[1], frame.rgba.shape[0]), {}) as sink:
+        sink.write(0, frame)
+
+
+class FrameSink:
+    """Takes the frames of one camera. Those that are files of their own are there whole or not at all."""
+
+    def __init__(
+        self, files: RecordedFiles, legend: Mapping[str, Any], video: VideoWriter | None, quality: int | None
+    ) -> None:
+        """`quality` is that of JPEG."""
+        self._files, self._legend, self._video = files, legend, video
+        self._quality = DEFAULT_JPEG_QUALITY if quality is None else quality
+        self._has_legend = False
+
+    def write(self, number: int, frame: Frame | None, labels: UInt16[np.ndarray, "h w"] | None = None) -> None:
+        """Take a frame of a sequence. Raises `OSError` where it can't be written."""
+        if frame is not None and self._files.format == "exr":
+            write_exr(self._files.color(number), frame, self._files.passes)
+        elif frame is not None:
+            self._write_passes(number, frame)
+        if labels is not None:
+            write_labels(self._files.beside(number, "labels"), labels, len(self._legend) - 1)
+            if not self._has_legend:
+                write_legend(self._files.legend, self._legend)
+                self._has_legend = True
+
+    def _write_passes(self, number: int, frame: Frame) -> None:
+        files = self._files
+        if self._video is not None:
+            self._video.write(frame.to_uint8())
+        elif "color" in files.passes and files.format == "npy":
+            write_array(files.color(number), frame.rgba)
+        elif "color" in files.passes and files.format == "jpeg":
+            write_jpeg(files.color(number), frame.to_uint8(), self._quality)
+        elif "color" in files.passes:
+            write_picture(files.color(number), frame.to_uint8())
+        if "depth" in files.passes and frame.depth is not None:
+            write = write_array if files.format == "npy" else write_depth
+            write(files.beside(number, "depth"), frame.depth)
+        if "alpha" in files.passes:
+            write_alpha(files.beside(number, "alpha"), frame.rgba[..., 3])
+
+
+# § Premultiplied pictures as display values and as linear light.
+
+_LEAST_ALPHA = np.float32(1e-6)
+
+
+def to_light(rgba: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w 4"]:
+    """Turn display colours times alpha into linear light times alpha; the colour itself is decoded, not the product."""
+    alpha = np.maximum(rgba[..., 3:], _LEAST_ALPHA)
+    return np.concatenate([srgb_to_linear(rgba[..., :3] / alpha) * alpha, rgba[..., 3:]], axis=-1, dtype=np.float32)
+
+
+def to_display(light: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w 4"]:
+    """Turn linear light times alpha into display colours times alpha."""
+    alpha = np.maximum(light[..., 3:], _LEAST_ALPHA)
+    return np.concatenate([linear_to_srgb(light[..., :3] / alpha) * alpha, light[..., 3:]], axis=-1, dtype=np.float32)
+
+
+# § Colours for numbers, and for layers; common_heat.glsl's twin.
+
+_COEFFICIENTS = np.array(
+    [
+        [0.13572138, 0.09140261, 0.10667330],
+        [4.61539260, 2.19418839, 12.64194608],
+        [-42.66032258, 4.84296658, -60.58204836],
+        [132.13108234, -14.18503333, 110.36276771],
+        [-152.94239396, 4.27729857, -89.90310912],
+        [59.28637943, 2.82956604, 27.34824973],
+    ],
+    np.float32,
+)
+
+
+def heat_colors(numbers: Float32[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n 3"]:
+    """Colour map "turbo" of numbers in 0..1 (Mikhailov 2019), a polynomial of degree 5 a channel."""
+    t = np.clip(numbers, 0, 1)[..., None]
+    color = np.broadcast_to(_COEFFICIENTS[-1], (*numbers.shape, 3))
+    for coefficients in _COEFFICIENTS[-2::-1]:
+        color = color * t + coefficients
+    return np.clip(color, 0, 1)
+
+
+def layer_color(number: int) -> tuple[float, float, float]:
+    """Colour of layer or actor 0, 1, 2...: hues a golden angle apart, bright and darker in turn."""
+    return colorsys.hsv_to_rgb((0.6 + number * 0.61803399) % 1.0, 0.65, (0.95, 0.75, 0.55)[number % 3])

@@ -1,0 +1,275 @@
+"""Labels of rendered frames as COCO's JSON: boxes, instance masks, and beyond COCO visibility and 3D boxes."""
+
+import json
+from collections.abc import Generator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypedDict
+
+import numpy as np
+from jaxtyping import Bool, UInt16
+
+from ..scene.camera import Camera
+from ..scene.files import whole_file
+from ..scene.objects import COCO_CATEGORIES, coco_class, scene_objects
+from ..scene.progress import Progress
+from .export_settings import RecordedFiles, Recording, recorded_files
+from .images import write_labels
+from .object_labels import LabelFormat, SeenObject, seen_objects
+from .renderer import Renderer
+from .sequence import FrameSequence
+
+_FIRST_OWN = 1000
+"""Category ids of classes that COCO lacks begin here."""
+
+
+class CocoLabels:
+    """Collects the frames of one camera; `document` is the file's content."""
+
+    def __init__(self, scene: str) -> None:
+        self._scene = scene
+        self._images: list[dict[str, Any]] = []
+        self._annotations: list[dict[str, Any]] = []
+        self._own_classes: dict[str, int] = {}
+
+    def add(self, number: int, time_s: float, camera: Camera, seen: Sequence[SeenObject], **files: str) -> None:
+        """Add a frame; `files` are its files by kind, of which COCO knows `file_name`."""
+        image_id = len(self._images) + 1
+        self._images.append(
+            {
+                "id": image_id,
+                "width": camera.width,
+                "height": camera.height,
+                **files,
+                "frame": number,
+                "time_s": time_s,
+                "camera": camera.to_json(),
+            }
+        )
+        for each in seen:
+            self._annotations.append(self._annotation(len(self._annotations) + 1, image_id, each))
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The whole file as plain values."""
+        categories = COCO_CATEGORIES | self._own_classes
+        return {
+            "info": {
+                "description": f"Rendered frames of {self._scene}: boxes and masks are those of visible pixels; "
+                "rain does not change them. box_3d is in the camera's frame (x right, y down, z forward), metres.",
+                "version": "1",
+            },
+            "licenses": [],
+            "images": self._images,
+            "annotations": self._annotations,
+            "categories": [{"id": number, "name": name} for name, number in categories.items()],
+        }
+
+    def _annotation(self, number: int, image_id: int, seen: SeenObject) -> dict[str, Any]:
+        left, top, right, bottom = seen.box_xyxy
+        return {
+            "id": number,
+            "image_id": image_id,
+            "category_id": self._category(seen.object.class_name),
+            "bbox": [left, top, right - left, bottom - top],
+            "area": int(seen.mask.sum()),
+            "segmentation": packed(seen.mask),
+            "iscrowd": 0,
+            "object": seen.object.id,
+            "visibility": round(seen.visibility, 4),
+            "truncation": round(seen.truncation, 4),
+            "distance_m": round(seen.distance_m, 3),
+            "box_3d": {
+                "size_lwh_m": [round(side, 4) for side in seen.size_lwh_m],
+                "object_to_camera": seen.to_camera.round(6).tolist(),
+            },
+        }
+
+    def _category(self, class_name: str) -> int:
+        name = coco_class(class_name)
+        if name in COCO_CATEGORIES:
+            return COCO_CATEGORIES[name]
+        return self._own_classes.setdefault(name, _FIRST_OWN + len(self._own_classes))
+
+
+# § Labels of rendered frames as KITTI's object benchmark has them: label_2, calib, and numbered instance masks.
+#
+# Source: the development kit of KITTI's object benchmark (Geiger et al., 2012). Its pixel centres are whole numbers,
+# ours are halves: boxes and principal points are shifted by half a pixel.
+
+_CLASSES = {"car": "Car", "truck": "Truck", "person": "Pedestrian", "cyclist": "Cyclist", "train": "Tram"}
+
+_FREE, _PARTLY = 0.8, 0.4
+"""Visibilities from which on an object is fully visible, and partly occluded."""
+
+_EGO_TO_CAMERA = "0 -1 0 0 0 0 -1 0 1 0 0 0"
+"""From x forward, y left, z up to x right, y down, z forward, as KITTI's lidar has it; without an offset."""
+
+
+def label_line(seen: SeenObject) -> str:
+    """Type, truncation, occlusion, alpha, 2D box, height width length, place of the bottom centre, rotation about y."""
+    x, y, z = seen.to_camera[:3, 3]
+    ahead = seen.to_camera[:3, 0]
+    turn = float(np.arctan2(-ahead[2], ahead[0]))
+    alpha = _wrapped(turn - float(np.arctan2(x, z)))
+    occlusion = 0 if seen.visibility >= _FREE else 1 if seen.visibility >= _PARTLY else 2
+    length, width, height = seen.size_lwh_m
+    box = [edge - 0.5 for edge in seen.box_xyxy]
+    numbers = [alpha, *box, height, width, length, x, y, z, turn]
+    return f"{_kind(seen)} {seen.truncation:.2f} {occlusion} " + " ".join(f"{each:.2f}" for each in numbers)
+
+
+def label_file(seen: Sequence[SeenObject]) -> str:
+    """Lines of a frame, the nearest object first."""
+    return "".join(f"{label_line(each)}\n" for each in seen)
+
+
+def calibration_file(camera: Camera) -> str:
+    """Calibration of a frame: four equal cameras without a baseline, and a lidar in the camera's own place."""
+    matrix = f"{camera.fx:.12e} 0 {camera.cx - 0.5:.12e} 0 0 {camera.fy:.12e} {camera.cy - 0.5:.12e} 0 0 0 1 0"
+    cameras = "".join(f"P{number}: {matrix}\n" for number in range(4))
+    return (
+        f"{cameras}R0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: {_EGO_TO_CAMERA}\n"
+        "Tr_imu_to_velo: 1 0 0 0 0 1 0 0 0 0 1 0\n"
+    )
+
+
+def instances(seen: Sequence[SeenObject], camera: Camera) -> UInt16[np.ndarray, "h w"]:
+    """Which line of the label file, counted from 1, each pixel belongs to; 0 is none."""
+    picture = np.zeros((camera.height, camera.width), np.uint16)
+    for line, each in enumerate(seen, start=1):
+        picture[each.mask] = line
+    return picture
+
+
+def _kind(seen: SeenObject) -> str:
+    name = seen.object.class_name
+    if name.lower() == "van":
+        return "Van"
+    return _CLASSES.get(coco_class(name), "Misc")
+
+
+def _wrapped(angle: float) -> float:
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+# § Writes label files beside recorded frames: COCO's one file a camera, or KITTI's two texts a frame.
+
+
+def write_object_labels(
+    renderer: Renderer,
+    form: LabelFormat,
+    recording: Recording,
+    sequences: Mapping[str, FrameSequence],
+    numbers: Sequence[int],
+) -> Generator[Progress, None, list[Path]]:
+    """Label the frames of a recording by their numbers; returns which files and folders were written.
+
+    Rain takes no part, so that the clear twin has the same labels. Raises OSError where they can't be written, and
+    ValueError for a scene in which nothing has a class and a box.
+    """
+    written: list[Path] = []
+    for place, (name, sequence) in enumerate(sequences.items()):
+        objects = scene_objects(sequence.scene)
+        if not objects:
+            raise ValueError(f"scene {sequence.scene.name!r} has no actors that labels could be about")
+        camera_name = name if len(sequences) > 1 else None
+        files = recorded_files(recording, camera_name)
+        twin = recorded_files(recording, camera_name, is_clear=True) if recording.twin else None
+        coco = CocoLabels(sequence.scene.name)
+        for done, number in enumerate(numbers):
+            shot = sequence.shot(number)
+            seen = seen_objects(renderer, sequence.scene, objects, shot.camera, shot.time_s)
+            if form == "coco":
+                coco.add(number, shot.time_s, shot.camera, seen, **_names(files, twin, number))
+            else:
+                _write_kitti(files, number, sequence, seen)
+            yield Progress((place + (done + 1) / len(numbers)) / len(sequences), f"Labels of frame {number}")
+        if form == "coco":
+            with whole_file(coco_file(files)) as beside:
+                beside.write_text(json.dumps(coco.document) + "\n", encoding="utf-8")
+        written.append(coco_file(files) if form == "coco" else kitti_folder(files))
+    return written
+
+
+def label_outputs(form: LabelFormat, recording: Recording, cameras: Sequence[str]) -> list[Path]:
+    """Every file and folder that the labels of these cameras go to, but for those in folders of frames."""
+    found = [recorded_files(recording, name if len(cameras) > 1 else None) for name in cameras]
+    return [coco_file(each) if form == "coco" else kitti_folder(each) for each in found if not each.is_folder]
+
+
+def coco_file(files: RecordedFiles) -> Path:
+    """Where the labels of one camera go: into the folder of its frames, else beside its file."""
+    return files.path / "labels.coco.json" if files.is_folder else files.path.with_name(f"{files.path.stem}.coco.json")
+
+
+def kitti_folder(files: RecordedFiles) -> Path:
+    """The folder that has label_2, calib and instance_2: that of the frames, else one beside their file."""
+    return files.path if files.is_folder else files.path.with_name(f"{files.path.stem}.kitti")
+
+
+def _names(files: RecordedFiles, twin: RecordedFiles | None, number: int) -> dict[str, str]:
+    names = {"file_name": _name(files, number)}
+    if twin is not None:
+        name = _name(twin, number)
+        names["clear_file_name"] = f"../{twin.path.name}/{name}" if twin.is_folder else name
+    if "depth" in files.passes and files.format != "exr":
+        depth = files.beside(number, "depth")
+        names["depth_file_name"] = f"{depth.parent.name}/{depth.name}" if files.is_video else depth.name
+    return names
+
+
+def _name(files: RecordedFiles, number: int) -> str:
+    """Name of a frame's file; that of a frame in a video is the video's with its number."""
+    return f"{files.path.name}/{number:06d}" if files.is_video else files.color(number).name
+
+
+def _write_kitti(files: RecordedFiles, number: int, sequence: FrameSequence, seen: Sequence[SeenObject]) -> None:
+    folder, camera = kitti_folder(files), sequence.shot(number).camera
+    for kind, text in (("label_2", label_file(seen)), ("calib", calibration_file(camera))):
+        file = folder / kind / f"{number:06d}.txt"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(file) as beside:
+            beside.write_text(text, encoding="ascii")
+    (folder / "instance_2").mkdir(parents=True, exist_ok=True)
+    write_labels(folder / "instance_2" / f"{number:06d}.png", instances(seen, camera), 256)
+
+
+# § Masks as COCO writes them: run lengths down the columns, as a list of numbers or packed into a string.
+#
+# Source: maskApi.c of the COCO API (Lin and Dollar, 2015), whose strings hold five bits a character from "0" on, and
+# from the third run on the difference to the run before the last.
+
+_FIRST = 48
+
+
+class RunLengths(TypedDict):
+    """A mask in COCO's JSON."""
+
+    size: list[int]
+    """Height, width."""
+    counts: str
+
+
+def run_lengths(mask: Bool[np.ndarray, "h w"]) -> list[int]:
+    """Lengths of the runs of equal pixels, column by column; the first is of pixels that are False and may be 0."""
+    flat = np.concatenate([[False], mask.ravel(order="F"), [False]])
+    changes = np.flatnonzero(flat[1:] != flat[:-1])
+    edges = np.concatenate([[0], changes[changes < mask.size], [mask.size]])
+    return np.diff(edges).tolist()
+
+
+def packed(mask: Bool[np.ndarray, "h w"]) -> RunLengths:
+    """Return a mask as COCO's JSON has it for crowds and for results: its size and its runs as a string."""
+    runs = run_lengths(mask)
+    text = "".join(_characters(run - (runs[k - 2] if k > 2 else 0)) for k, run in enumerate(runs))
+    return {"size": list(mask.shape), "counts": text}
+
+
+def _characters(value: int) -> str:
+    text = ""
+    while True:
+        bits, value = value & 0x1F, value >> 5
+        more = value != (-1 if bits & 0x10 else 0)
+        text += chr((bits | (0x20 if more else 0)) + _FIRST)
+        if not more:
+            return text

@@ -1,0 +1,227 @@
+"""The label pass: which layer or actor each pixel shows, and the legend that goes with it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, UInt16
+
+from ..scene.camera import Camera
+from ..scene.flags import Mask
+from ..scene.geometry import before_camera, box_corners
+from ..scene.objects import SceneObject
+from ..scene.scene import Actor, Part, Scene, rows_of
+from .renderer import Renderer
+
+_LEAST_ALPHA = 0.5
+"""Pixels that the scene covers less than this show nothing, as they have no depth."""
+
+
+def draw_labels(renderer: Renderer, scene: Scene, camera: Camera, time_s: float) -> UInt16[np.ndarray, "h w"]:
+    """Label each pixel with the member that has the largest share in its colour: 1 is the first member, 0 is nothing.
+
+    Three members at a time are drawn in pure red, green and blue, the others in black: a channel is then a member's
+    blending weight. Rain takes no part in it.
+    """
+    shown = [
+        (number, part)
+        for number, member in enumerate(scene.members, start=1)
+        if member.visible and (part := scene.part(member, time_s)) is not None
+    ]
+    labels = np.zeros((camera.height, camera.width), np.uint16)
+    largest = np.zeros((camera.height, camera.width), np.float32)
+    for first in range(0, len(shown), 3):
+        renderer.draw(_in_signal_colors([part for _, part in shown], first), camera)
+        rgba = renderer.read().rgba
+        for channel, (number, _) in enumerate(shown[first : first + 3]):
+            weight = np.where(rgba[..., 3] >= _LEAST_ALPHA, rgba[..., channel], np.float32(0))
+            labels[weight > largest] = number
+            largest = np.maximum(largest, weight)
+    return labels
+
+
+def legend(scene: Scene) -> dict[str, Any]:
+    """What the labels of a scene mean, as plain values: the same for every frame."""
+    return {
+        "0": {"name": "", "kind": "nothing"},
+        **{
+            str(number): {"name": member.name, "kind": "actor", "class": member.class_name}
+            if isinstance(member, Actor)
+            else {"name": member.name, "kind": member.kind}
+            for number, member in enumerate(scene.members, start=1)
+        },
+    }
+
+
+def _in_signal_colors(parts: Sequence[Part], first: int) -> list[Part]:
+    """Parts `first`, `first + 1` and `first + 2` in red, green and blue, all others in black."""
+    return [part._replace(colors=only_channel(number - first)) for number, part in enumerate(parts)]
+
+
+def only_channel(channel: int) -> Float64[np.ndarray, "3 4"]:
+    """Colour change to one pure colour, whatever the colour was; black for channels that don't exist."""
+    change = np.zeros((3, 4))
+    if 0 <= channel < 3:
+        change[channel, 3] = 1.0
+    return change
+
+
+# § The objects that a picture shows: each one's pixels, its boxes, and how much of it stands free.
+#
+# Rain takes no part: what a picture shows is the same in any weather.
+
+LEAST_SHARE = 0.5
+"""A pixel shows an object where at least this share of its light comes from it."""
+
+_LEAST_HEIGHT_PX = 3.0
+"""What a whole object is lower than is not looked for."""
+
+# § A box in the camera's frame (OpenCV axes, metres) as it falls into the picture.
+
+BoxXYXY = tuple[float, float, float, float]
+"""Left, top, right, bottom in pixels; the left edge of the first column is 0."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenObject:
+    """An object in a picture."""
+
+    object: SceneObject
+    to_camera: Float64[np.ndarray, "4 4"]
+    """From its frame (x forward, y left, z up, origin at the bottom centre) to the camera's (OpenCV axes), metres."""
+    size_lwh_m: tuple[float, float, float]
+    mask: Bool[np.ndarray, "h w"]
+    """Pixels that show it."""
+    visibility: float
+    """Its pixels over those that it would have if nothing stood in front of it; 0..1."""
+    truncation: float
+    """Share of its box's outline that lies outside the picture; 0..1."""
+    outline_xyxy: BoxXYXY
+    """Box around its projected 3D box, cut at the picture's edges."""
+
+    @property
+    def box_xyxy(self) -> BoxXYXY:
+        """Box around its pixels; their outer edges."""
+        rows, columns = np.flatnonzero(self.mask.any(axis=1)), np.flatnonzero(self.mask.any(axis=0))
+        return float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1)
+
+    @property
+    def center_m(self) -> Float64[np.ndarray, "3"]:
+        """Middle of its 3D box in the camera's frame."""
+        return self.to_camera[:3, 3] + self.to_camera[:3, 2] * (self.size_lwh_m[2] / 2)
+
+    @property
+    def distance_m(self) -> float:
+        return float(np.linalg.norm(self.center_m))
+
+
+class _Candidate(NamedTuple):
+    object: SceneObject
+    to_camera: Float64[np.ndarray, "4 4"]
+    size_lwh_m: tuple[float, float, float]
+    truncation: float
+    outline_xyxy: BoxXYXY
+
+
+def seen_objects(
+    renderer: Renderer, scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float = 0.0
+) -> list[SeenObject]:
+    """Find which objects of a scene a camera (world, metres) sees at a time, the nearest first.
+
+    Three at a time are drawn in pure red, green and blue and all else in black, so that a channel is an object's share
+    of a pixel's light; then each one alone. Objects without a pixel of their own are left out.
+    """
+    candidates = _in_picture(scene, objects, camera, time_s)
+    rest, own = _split(scene, candidates, time_s)
+    seen: list[SeenObject] = []
+    for first in range(0, len(candidates), 3):
+        signals = [part._replace(colors=only_channel(number - first)) for number, part in enumerate(own)]
+        shares = _drawn(renderer, [*rest, *signals], camera)
+        for channel, candidate in enumerate(candidates[first : first + 3]):
+            mask = shares[..., channel] >= LEAST_SHARE
+            if mask.any():
+                alone = _drawn(renderer, [own[first + channel]._replace(colors=only_channel(0))], camera)[..., 0]
+                visibility = int(mask.sum()) / max(int((mask | (alone >= LEAST_SHARE)).sum()), 1)
+                to_camera, size, truncation, box = candidate[1:]
+                seen.append(SeenObject(candidate.object, to_camera, size, mask, visibility, truncation, box))
+    return sorted(seen, key=lambda each: each.distance_m)
+
+
+def _in_picture(scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float) -> list[_Candidate]:
+    found: list[_Candidate] = []
+    for each in objects:
+        pose = each.track.pose(time_s)
+        if pose is None or not len(each.rows):
+            continue
+        to_camera = camera.world_to_camera @ scene.scene_to_world @ pose
+        to_camera[:3, :3] /= scene.metres_per_unit
+        length, width, height = (scene.metres_per_unit * side for side in each.size_lwh)
+        hull = outline(box_corners(to_camera, (length, width, height)), camera)
+        within = cut_at_edges(hull, camera)
+        if len(within) and np.ptp(hull[:, 1]) >= _LEAST_HEIGHT_PX:
+            truncation = min(max(1 - area_px(within) / max(area_px(hull), 1e-9), 0.0), 1.0)
+            found.append(_Candidate(each, to_camera, (length, width, height), truncation, bounds(within)))
+    return found
+
+
+def _split(scene: Scene, candidates: Sequence[_Candidate], time_s: float) -> tuple[list[Part], list[Part]]:
+    """What is drawn, as the parts that are no object (in black) and one part for each object."""
+    rest: list[Part] = []
+    own: dict[int, Part] = {}
+    for member in scene.members:
+        part = scene.part(member, time_s) if member.visible else None
+        if part is None:
+            continue
+        taken = np.zeros(len(member.gaussians), bool) if part.left_out is None else part.left_out.flags.copy()
+        for number, candidate in enumerate(candidates):
+            if candidate.object.member == member.key:
+                rows = candidate.object.rows[~taken[candidate.object.rows]]
+                gaussians, _ = rows_of(member, rows)
+                own[number] = Part(gaussians, part.to_world, opacity=part.opacity)
+                taken[rows] = True
+        rest.append(part._replace(colors=only_channel(-1), left_out=Mask.of(taken)))
+    return rest, [own[number] for number in range(len(candidates))]
+
+
+def _drawn(renderer: Renderer, parts: Sequence[Part], camera: Camera) -> Float32[np.ndarray, "h w 4"]:
+    renderer.draw(parts, camera)
+    return renderer.read().rgba
+
+
+def outline(corners: Float64[np.ndarray, "8 3"], camera: Camera) -> Float64[np.ndarray, "c 2"]:
+    """Convex outline of a box in pixels, not cut at the picture's edges; none where all of it is behind the camera."""
+    points = before_camera(corners)
+    if len(points) < 3:
+        return np.zeros((0, 2))
+    pixels = points[:, :2] / points[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    return cv2.convexHull(pixels.astype(np.float32))[:, 0].astype(np.float64)
+
+
+def cut_at_edges(hull: Float64[np.ndarray, "c 2"], camera: Camera) -> Float64[np.ndarray, "d 2"]:
+    """The part of a convex outline that lies in the picture; none where no part does."""
+    if len(hull) < 3:
+        return np.zeros((0, 2))
+    width, height = camera.width, camera.height
+    picture = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
+    area, common = cv2.intersectConvexConvex(hull.astype(np.float32), picture)
+    return common[:, 0].astype(np.float64) if area > 0 else np.zeros((0, 2))
+
+
+def area_px(polygon: Float64[np.ndarray, "c 2"]) -> float:
+    """Area of a polygon in square pixels."""
+    x, y = polygon.T if len(polygon) else np.zeros((2, 1))
+    return abs(float(x @ np.roll(y, 1) - y @ np.roll(x, 1))) / 2
+
+
+def bounds(polygon: Float64[np.ndarray, "c 2"]) -> BoxXYXY:
+    """Smallest upright box around points, of which there must be one."""
+    left, top = polygon.min(axis=0).tolist()
+    right, bottom = polygon.max(axis=0).tolist()
+    return left, top, right, bottom
+
+
+# § Which kinds of label files there are.
+
+LabelFormat = Literal["coco", "kitti"]

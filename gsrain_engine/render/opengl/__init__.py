@@ -1,0 +1,1 @@
+"""The OpenGL back end: compute passes over tiles and quads."""

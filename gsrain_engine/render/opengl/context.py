@@ -1,0 +1,283 @@
+"""Where OpenGL comes from when there is no window: EGL, or OSMesa where EGL is missing."""
+
+import ctypes
+import ctypes.util
+import os
+import time
+from collections.abc import Callable
+from typing import Any, Literal
+
+import moderngl
+
+REQUIRED_VERSION = 430
+"""OpenGL 4.3: compute shaders and storage buffers."""
+
+ContextSource = Literal["auto", "egl", "osmesa"]
+
+
+class NoOpenGLError(OSError):
+    """No OpenGL 4.3 could be had; says what was tried and what to install."""
+
+
+def open_context(source: ContextSource = "auto") -> moderngl.Context:
+    """Open an OpenGL 4.3 context without a window. It is current within `with context:`, which may be nested."""
+    openers = {"egl": _open_egl, "osmesa": _open_osmesa}
+    tried: list[str] = []
+    for name in openers if source == "auto" else (source,):
+        try:
+            context = openers[name]()
+            context.__exit__(None, None, None)
+            return context
+        except Exception as error:  # drivers fail in their own ways: whatever they say goes into the message
+            tried.append(f"{name}: {error}")
+    packages = "libosmesa6" if source == "osmesa" else "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
+    raise NoOpenGLError(
+        "no OpenGL 4.3 without a window (" + "; ".join(tried) + "). On Debian: "
+        f"apt-get install --no-install-recommends {packages}"
+    )
+
+
+def is_software(context: moderngl.Context) -> bool:
+    """Whether a processor, not a GPU, executes this context's drawing (Mesa's llvmpipe, softpipe, swrast)."""
+    name = context.info["GL_RENDERER"].lower()
+    return any(word in name for word in ("llvmpipe", "softpipe", "swrast", "software"))
+
+
+def _open_egl() -> moderngl.Context:
+    """Open a context that tells when it is lost; where the driver has none, one that does not."""
+    try:
+        loader: Any = EglContext()
+        context = moderngl.create_context(context=loader, require=REQUIRED_VERSION)
+    except (OSError, AttributeError):  # no such library, or no such function in it
+        return _open_plain_egl()
+    watch(context, loader.load_opengl_function)
+    return context
+
+
+def _open_plain_egl() -> moderngl.Context:
+    options: Any = {"backend": "egl"}  # moderngl's stub types keyword arguments of a loader as a dictionary
+    return moderngl.create_context(standalone=True, require=REQUIRED_VERSION, **options)
+
+
+def _open_osmesa() -> moderngl.Context:
+    loader: Any = _OSMesa()
+    return moderngl.create_context(context=loader, require=REQUIRED_VERSION)
+
+
+class _OSMesa:
+    """The loader object that moderngl asks for entry points (Mesa's off-screen library, GL/osmesa.h)."""
+
+    _ATTRIBUTES = (
+        0x22, 0x1908,  # OSMESA_FORMAT, OSMESA_RGBA
+        0x30, 24,  # OSMESA_DEPTH_BITS
+        0x33, 0x34,  # OSMESA_PROFILE, OSMESA_CORE_PROFILE
+        0x36, 4,  # OSMESA_CONTEXT_MAJOR_VERSION
+        0x37, 3,  # OSMESA_CONTEXT_MINOR_VERSION
+        0,
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        name = os.environ.get("GSRAIN_OSMESA_LIBRARY") or ctypes.util.find_library("OSMesa") or "libOSMesa.so.8"
+        library = ctypes.CDLL(name, mode=ctypes.RTLD_GLOBAL)
+        library.OSMesaCreateContextAttribs.restype = ctypes.c_void_p
+        library.OSMesaCreateContextAttribs.argtypes = [ctypes.c_void_p, ctypes.c_void_p]
+        library.OSMesaMakeCurrent.argtypes = [ctypes.c_void_p] * 2 + [ctypes.c_uint] + [ctypes.c_int] * 2
+        library.OSMesaGetProcAddress.restype = ctypes.c_void_p
+        library.OSMesaGetProcAddress.argtypes = [ctypes.c_char_p]
+        library.OSMesaDestroyContext.argtypes = [ctypes.c_void_p]
+        attributes = (ctypes.c_int * len(self._ATTRIBUTES))(*self._ATTRIBUTES)
+        self._library, self._depth = library, 0
+        self._handle = library.OSMesaCreateContextAttribs(attributes, None)
+        if not self._handle:
+            raise RuntimeError(f"{name} gives no OpenGL 4.3 core context")
+        self._screen = (ctypes.c_ubyte * (4 * 4 * 4))()  # nothing is ever drawn to the default framebuffer
+        self.enter()
+
+    def load_opengl_function(self, name: str) -> int:
+        """Return the address of an entry point, 0 where there is none."""
+        return self._library.OSMesaGetProcAddress(name.encode()) or 0
+
+    def enter(self) -> None:
+        """Make the context current on this thread."""
+        if not self._library.OSMesaMakeCurrent(self._handle, self._screen, 0x1401, 4, 4):  # GL_UNSIGNED_BYTE
+            raise RuntimeError("OSMesaMakeCurrent failed")
+        self._depth += 1
+
+    def exit(self) -> None:
+        """Leave no context current on this thread, once for each time that it was entered."""
+        self._depth -= 1
+        if not self._depth:
+            self._library.OSMesaMakeCurrent(None, None, 0, 0, 0)
+
+    def __enter__(self) -> None:
+        self.enter()
+
+    def __exit__(self, *_: object) -> None:
+        self.exit()
+
+    def release(self) -> None:
+        if self._handle:
+            self._library.OSMesaDestroyContext(self._handle)
+            self._handle = None
+
+
+# § An OpenGL context without a window whose driver tells when it is lost (EGL 1.5, on a device).
+
+_POINTER, _INT = ctypes.c_void_p, ctypes.c_int
+
+_OPENGL_API, _PLATFORM_DEVICE, _DRAW = 0x30A2, 0x313F, 0x3059
+
+_MOST_DEVICES = 64
+
+_CONFIG = (
+    0x3033, 0x0001,  # EGL_SURFACE_TYPE, EGL_PBUFFER_BIT
+    0x3040, 0x0008,  # EGL_RENDERABLE_TYPE, EGL_OPENGL_BIT
+    0x3038,  # EGL_NONE
+)  # fmt: skip
+
+_CONTEXT = (
+    0x3098, 4,  # EGL_CONTEXT_MAJOR_VERSION
+    0x30FB, 3,  # EGL_CONTEXT_MINOR_VERSION
+    0x30FD, 0x0001,  # EGL_CONTEXT_OPENGL_PROFILE_MASK, EGL_CONTEXT_OPENGL_CORE_PROFILE_BIT
+    0x31BD, 0x31BF,  # EGL_CONTEXT_OPENGL_RESET_NOTIFICATION_STRATEGY, EGL_LOSE_CONTEXT_ON_RESET
+    0x3038,  # EGL_NONE
+)  # fmt: skip
+
+
+class EglContext:
+    """The loader object that moderngl asks for entry points. Raises `OSError` where there is no such context."""
+
+    def __init__(self) -> None:
+        library = ctypes.CDLL(ctypes.util.find_library("EGL") or "libEGL.so.1")
+        self._address = _function(library.eglGetProcAddress, _POINTER, ctypes.c_char_p)
+        self._current = _function(library.eglGetCurrentContext, _POINTER)
+        self._current_display = _function(library.eglGetCurrentDisplay, _POINTER)
+        self._current_surface = _function(library.eglGetCurrentSurface, _POINTER, _INT)
+        self._make_current = _function(library.eglMakeCurrent, _INT, *[_POINTER] * 4)
+        self._destroy = _function(library.eglDestroyContext, _INT, _POINTER, _POINTER)
+        self._display, config = self._device(), _POINTER()
+        initialize = _function(library.eglInitialize, _INT, *[_POINTER] * 3)
+        choose = _function(library.eglChooseConfig, _INT, _POINTER, _POINTER, _POINTER, _INT, _POINTER)
+        create = _function(library.eglCreateContext, _POINTER, *[_POINTER] * 4)
+        found = _INT()
+        _need(initialize(self._display, None, None), "no display")
+        _need(choose(self._display, _numbers(_CONFIG), ctypes.byref(config), 1, ctypes.byref(found)), "no config")
+        _need(found.value and _function(library.eglBindAPI, _INT, _INT)(_OPENGL_API), "no OpenGL")
+        self._context = _need(
+            create(self._display, config, None, _numbers(_CONTEXT)), "no context that tells of resets"
+        )
+        self._before: list[tuple[int | None, ...]] = []
+        self.enter()
+
+    def load_opengl_function(self, name: str) -> int:
+        """Return the address of an entry point, 0 where there is none."""
+        return self._address(name.encode()) or 0
+
+    def enter(self) -> None:
+        """Make the context current on this thread."""
+        display, surface = self._current_display() or self._display, self._current_surface(_DRAW)
+        self._before.append((display, surface, surface, self._current()))
+        _need(self._make_current(self._display, None, None, self._context), "the context can't be current")
+
+    def exit(self) -> None:
+        """Give this thread back the context that it had before, none where that is gone."""
+        if not self._make_current(*self._before.pop()):
+            self._make_current(self._display, None, None, None)
+
+    def __enter__(self) -> None:
+        self.enter()
+
+    def __exit__(self, *_: object) -> None:
+        self.exit()
+
+    def release(self) -> None:
+        if self._context:
+            self._destroy(self._display, self._context)
+            self._context = None
+
+    def _device(self) -> int:
+        """Open the display of a device: the first, or that of GLCONTEXT_DEVICE_INDEX as everywhere with moderngl."""
+        devices, count = (_POINTER * _MOST_DEVICES)(), _INT()
+        query, wanted = self._address(b"eglQueryDevicesEXT"), int(os.environ.get("GLCONTEXT_DEVICE_INDEX", "0"))
+        display = self._address(b"eglGetPlatformDisplayEXT")
+        _need(query and display, "no devices")
+        ctypes.CFUNCTYPE(_INT, _INT, _POINTER, _POINTER)(query)(_MOST_DEVICES, devices, ctypes.byref(count))
+        _need(0 <= wanted < count.value, f"no device {wanted}")
+        return ctypes.CFUNCTYPE(_POINTER, _INT, _POINTER, _POINTER)(display)(_PLATFORM_DEVICE, devices[wanted], None)
+
+
+def _function(function: Any, result: Any, *arguments: Any) -> Any:
+    function.restype, function.argtypes = result, arguments
+    return function
+
+
+def _numbers(values: tuple[int, ...]) -> Any:
+    return (_INT * len(values))(*values)
+
+
+def _need(value: Any, otherwise: str) -> Any:
+    if not value:
+        raise OSError(otherwise)
+    return value
+
+
+# § Contexts that are lost: a driver that restarts, or a card that goes away, takes all that is on the card along.
+
+_QUESTIONS = (("GL_KHR_robustness", "KHR"), ("GL_ARB_robustness", "ARB"))
+
+
+class LostContextError(OSError):
+    """What was on the graphics card is gone; nothing more can be drawn in this context."""
+
+    def __init__(self) -> None:
+        super().__init__("the graphics driver has restarted, or the card is gone: what was being drawn is lost")
+
+
+class ContextWatch:
+    """Remembers that a context is lost: some drivers say so only once."""
+
+    def __init__(self, ask: Callable[[], int]) -> None:
+        """`ask` is the driver's glGetGraphicsResetStatus: 0 while all is well, or again."""
+        self.ask = ask
+        self._is_lost = False
+
+    def is_lost(self) -> bool:
+        """Whether the context was ever lost. Asks the driver, which takes about a microsecond."""
+        self._is_lost = self._is_lost or self.ask() != 0
+        return self._is_lost
+
+    def wait_for_driver(self, most_s: float) -> None:
+        """Wait until the driver has restarted: it says so until then."""
+        until = time.monotonic() + most_s
+        while self.ask() and time.monotonic() < until:
+            time.sleep(0.05)
+
+
+def watch(context: moderngl.Context, address_of: Callable[[str], int | None]) -> None:
+    """Let a context be asked whether it is lost; `address_of` finds entry points of OpenGL by name.
+
+    Drivers know only of contexts that were made to tell of resets.
+    """
+    extensions = context.extensions
+    endings = ["", *(ending for name, ending in _QUESTIONS if name in extensions)]
+    for ending in endings if context.version_code >= 450 else endings[1:]:  # an address alone does not prove anything
+        if address := address_of(f"glGetGraphicsResetStatus{ending}"):
+            context.extra = ContextWatch(_question(address))
+            return
+
+
+def watch_of(context: moderngl.Context) -> ContextWatch | None:
+    """Who knows whether a context is lost; None where its driver does not tell."""
+    return context.extra
+
+
+def check_context(context: moderngl.Context) -> None:
+    """Raise `LostContextError` where what was drawn or read may be nothing at all."""
+    watcher = watch_of(context)
+    if watcher is not None and watcher.is_lost():
+        raise LostContextError
+
+
+def _question(address: int) -> Callable[[], int]:
+    """Make glGetGraphicsResetStatus, which is at an address, a function of Python."""
+    return ctypes.CFUNCTYPE(ctypes.c_uint)(address)

@@ -1,0 +1,157 @@
+"""Drops on the GPU: found, made into streaks and projected there; what is uploaded is a row for each class of drops."""
+
+import moderngl
+import numpy as np
+from jaxtyping import Float64, UInt32
+
+from ...rain.drop_field import FIRST_OF_CLASS
+from ...rain.properties import CLASSES
+from ...rain.shelter_map import Roofs
+from ...rain.streaks import StreakField
+from .buffers import NEAR_M, SLOTS_BY_BLOCK, GrowingBuffer, SplatStore
+from .prefix_sum import COUNT_OFFSET, GROUPS_OFFSET, WORK_BYTES, VisibleScan
+from .shaders import load_compute_shader
+
+_CLASS_ROWS, _FOUND, _PLACES, _ROOFS, _COUNTS, _FOUND_WORK = 1, 2, 3, 3, 5, 6
+
+_IN_THE_OPEN = np.float32(-1e9)
+"""What stands for a roof at -inf, which shaders need not know."""
+
+
+class DropPass:
+    """Writes the streaks of a moment into a store, behind the scene's splats."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._find: dict[bool, moderngl.ComputeShader] = {False: load_compute_shader(context, "rain_find.comp")}
+        self._streaks: dict[tuple[int, ...], moderngl.ComputeShader] = {}
+        self._scan = VisibleScan(context)
+        self._classes = GrowingBuffer(context)
+        self._found = GrowingBuffer(context)
+        self._counts = GrowingBuffer(context)
+        self._roofs = GrowingBuffer(context)
+        self._masks_by_class = 1
+        self.work = context.buffer(np.zeros(WORK_BYTES // 4, np.uint32))
+        """How many drops were found; see `visible_scan`."""
+
+    def find(self, field: StreakField) -> None:
+        """Find the drops that the camera may see."""
+        self._masks_by_class = max(1, -(-field.count // (CLASSES * 32)))
+        masks = self._masks_by_class * CLASSES
+        self._classes.reserve(4 * 12 * CLASSES).write(class_rows(field))
+        self._found.reserve(4 * masks)
+        self._counts.reserve(4 * masks)
+        shader, culling = self._finder(field.roofs is not None), field.culling
+        self._set_field(shader, field)
+        shader["count"] = field.count
+        shader["cell_to_region"] = _columns(culling.region_rotation)
+        shader["region_half"] = tuple(culling.region_half)
+        shader["slopes"] = tuple(culling.slopes)
+        self._bind(_COUNTS)
+        if field.roofs is not None:
+            self._set_roofs(shader, field, field.roofs)
+        shader.run(masks // 256)
+        self._context.memory_barrier()
+        self._scan.run(self._counts.buffer, self.work, masks, by_group=SLOTS_BY_BLOCK, most=field.most_drops)
+
+    def project(
+        self, store: SplatStore, field: StreakField, display_color: Float64[np.ndarray, "3"], first_slot: int
+    ) -> None:
+        """Make streaks of the drops that were found and write what can be seen of them."""
+        shader, shutter, wishes = self._shader(store), field.shutter, field.rain
+        camera = shutter.camera
+        self._set_field(shader, field)
+        values = {
+            "exposure": shutter.exposure_s,
+            "still_camera": wishes.streak_frame == "world",
+            "focal": shutter.focal_px,
+            "phi": wishes.critical_haze_coefficient,
+            "haze_opacity": wishes.haze_opacity,
+            "gain": wishes.streak_gain,
+            "aperture": 1e-3 * wishes.aperture_mm,
+            "focus": wishes.focus_distance_m,
+            "max_copies": wishes.max_copies,
+            "most_drops": field.most_drops,
+            "display_color": tuple(display_color),
+            "intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy),
+            "image_size": (camera.width, camera.height),
+            "near": NEAR_M,
+            "first_slot": first_slot,
+        }
+        for name, value in values.items():
+            shader[name] = value
+        store.bind()
+        self._bind(_PLACES)
+        self.work.bind_to_storage_buffer(_FOUND_WORK)
+        shader.run_indirect(self.work, GROUPS_OFFSET)
+
+    def found_count(self) -> int:
+        """How many drops were found last; waits for the GPU."""
+        return int(np.frombuffer(self.work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
+
+    def found(self) -> UInt32[np.ndarray, " m"]:
+        """Numbers of the drops that were found last, class by class; waits for the GPU."""
+        size = 4 * self._masks_by_class * CLASSES
+        masks = np.frombuffer(self._found.buffer.read(size), np.uint32)
+        bits = (masks[:, None] >> np.arange(32, dtype=np.uint32)) & np.uint32(1)
+        at, bit = np.nonzero(bits)
+        class_index, group = np.divmod(at, self._masks_by_class)
+        return ((group * 32 + bit) * CLASSES + class_index * FIRST_OF_CLASS % CLASSES).astype(np.uint32)
+
+    def _set_field(self, shader: moderngl.ComputeShader, field: StreakField) -> None:
+        shader["masks_by_class"] = self._masks_by_class
+        shader["first_of_class"] = FIRST_OF_CLASS
+        shader["seed"] = field.rain.seed
+        shader["period"] = tuple(field.period_m)
+        shader["camera_in_cell"] = tuple(field.culling.camera_position)
+        shader["cell_to_camera"] = _columns(field.culling.cell_to_camera)
+
+    def _set_roofs(self, shader: moderngl.ComputeShader, field: StreakField, roofs: Roofs) -> None:
+        heights = np.maximum(roofs.heights_m - np.float32(field.center_m[2]), _IN_THE_OPEN)
+        self._roofs.reserve(heights.nbytes).write(heights)
+        self._roofs.bind(_ROOFS)
+        rows, columns = heights.shape
+        shader["roof_size"] = (columns, rows)
+        shader["roof_corner"] = tuple(np.array(roofs.corner_m) - field.center_m[:2])
+        shader["roof_edge"] = roofs.cell_m
+        shader["cell_to_world"] = _columns(field.axes[:2, :2])
+
+    def _finder(self, with_roofs: bool) -> moderngl.ComputeShader:
+        if with_roofs not in self._find:
+            self._find[with_roofs] = load_compute_shader(self._context, "rain_find.comp", {"ROOFS": 1})
+        return self._find[with_roofs]
+
+    def _bind(self, counts_binding: int) -> None:
+        self._classes.bind(_CLASS_ROWS)
+        self._found.bind(_FOUND)
+        self._counts.bind(counts_binding)
+
+    def _shader(self, store: SplatStore) -> moderngl.ComputeShader:
+        key = tuple(store.switches.values())
+        if key not in self._streaks:
+            self._streaks[key] = load_compute_shader(self._context, "rain_streaks.comp", store.switches)
+        return self._streaks[key]
+
+
+def streak_slots(field: StreakField) -> int:
+    return -(-field.most_drops // SLOTS_BY_BLOCK) * SLOTS_BY_BLOCK * field.rain.max_copies
+
+
+def class_rows(field: StreakField) -> UInt32[np.ndarray, "classes 12"]:
+    """Rows as common_drop_field.glsl reads them."""
+    seen = field.velocities(np.arange(CLASSES))
+    if field.rain.streak_frame == "camera":
+        seen = seen - field.shutter.velocity_m_s
+    rows = np.empty((CLASSES, 12), np.uint32)
+    rows[:, 0:3] = field.where.wraps.view(np.uint32)
+    rows[:, 3:6] = field.where.fractions
+    numbers = rows.view(np.float32)
+    numbers[:, 6] = field.culling.class_far_m
+    numbers[:, 7] = field.culling.class_margin_m
+    numbers[:, 8] = 1e-3 * field.diameters_mm
+    numbers[:, 9:12] = seen @ field.shutter.camera.world_to_camera[:3, :3].T
+    return rows
+
+
+def _columns(matrix: Float64[np.ndarray, "n n"]) -> tuple[float, ...]:
+    return tuple(matrix.T.ravel())

@@ -1,0 +1,310 @@
+"""Draws Gaussians with OpenGL: project each once, sort by depth, blend quads from back to front, all on the GPU."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import moderngl
+import numpy as np
+from jaxtyping import Float32
+
+from ...rain.simulation import FallingRain
+from ...scene.camera import Camera
+from ...scene.gaussians import Gaussians
+from ...scene.scene import Part
+from ..renderer import FARTHEST_M, MOST_FRAGMENTS, NEAREST_M, Color, Frame, Look, RenderStatistics
+from .buffers import CHUNK, GpuArrays, Harmonics, SplatStore, WetColors, check_gpu_memory
+from .context import check_context, is_software
+from .prefix_sum import COUNT_OFFSET
+from .projection import ProjectionPass
+from .shaders import GpuTimers, Switches, load_program
+from .sort import SLOTS, DepthSort, HostSort
+
+_QUADS_BY_INSTANCE = 128
+"""Splats an instance; instances of one quad would leave a GPU's vertex units idle. As in splat.vert."""
+
+# § Textures that splats are drawn into.
+
+
+class TargetLayout(NamedTuple):
+    """What a target holds; the fragment shader's locations 0, 1, 2."""
+
+    size: tuple[int, int]
+    dtype: str
+    shares: bool = False
+    depth: bool = False
+
+
+@dataclass(slots=True)
+class Target:
+    """A framebuffer and its textures."""
+
+    layout: TargetLayout
+    color: moderngl.Texture
+    shares: moderngl.Texture | None
+    depth: moderngl.Texture | None
+    framebuffer: moderngl.Framebuffer
+
+    @classmethod
+    def make(cls, context: moderngl.Context, layout: TargetLayout) -> "Target":
+        """Make the textures of a layout; raises `MemoryError` where the graphics card has no room for them."""
+        color = context.texture(layout.size, 4, dtype=layout.dtype)
+        color.filter = moderngl.NEAREST, moderngl.NEAREST
+        # Without rain the second attachment only keeps the third one's place.
+        with_shares = layout.shares or layout.depth
+        shares = context.texture(layout.size, 2, dtype=layout.dtype) if with_shares else None
+        depth = context.texture(layout.size, 2, dtype="f4") if layout.depth else None
+        check_gpu_memory(context, 16 * layout.size[0] * layout.size[1])
+        attachments = [each for each in (color, shares, depth) if each is not None]
+        return cls(layout, color, shares, depth, context.framebuffer(attachments))
+
+    def release(self) -> None:
+        self.framebuffer.release()
+        for texture in (self.color, self.shares, self.depth):
+            if texture is not None:
+                texture.release()
+
+
+class SplatRenderer:
+    """Renders scene and rain into one picture in the current OpenGL context. No count comes back to the processor.
+
+    Call it on the thread and inside the context that it was made with.
+
+    Args:
+        context: OpenGL 4.3 or later.
+        precision: Of the picture. Half is for scenes without rain: it loses a part of the haze.
+        harmonics: How colours are kept on the GPU.
+    """
+
+    name = "opengl"
+
+    def __init__(
+        self, context: moderngl.Context, precision: Literal["half", "single"] = "single", harmonics: Harmonics = "half"
+    ) -> None:
+        self.context = context
+        self.arrays = GpuArrays(context, harmonics)
+        self._dtype = "f2" if precision == "half" else "f4"
+        self._projection = ProjectionPass(context, self.arrays)
+        self._store = SplatStore(context)
+        self._is_software = is_software(context)
+        self._sort = HostSort(context) if self._is_software else DepthSort(context)
+        self._timers = GpuTimers(context)
+        self._quads = context.buffer(_quad_indices().tobytes())
+        self._programs: dict[tuple[object, ...], tuple[moderngl.Program, moderngl.VertexArray]] = {}
+        self._targets: dict[str, Target] = {}
+        self._picture: moderngl.Texture | None = None
+        self._measured = RenderStatistics()
+        self._drawn: RenderStatistics | None = None
+        self._makes_drops = False
+
+    @property
+    def statistics(self) -> RenderStatistics:
+        """What the last picture was made of if it was read, else the one before: nobody waits for the GPU."""
+        return self._measured
+
+    @property
+    def picture(self) -> moderngl.Texture:
+        """The last picture: premultiplied display colour, first row on top."""
+        assert self._picture is not None, "draw before looking at the picture"
+        return self._picture
+
+    def draw(
+        self,
+        parts: Sequence[Part],
+        camera: Camera,
+        rain: FallingRain | None = None,
+        *,
+        with_depth: bool = False,
+        look: Look = "splats",
+    ) -> None:
+        """Draw parts and rain as one depth-ordered compositing; the result is `picture`, and `read()` fetches it.
+
+        `camera` is in the world (metres). Depth is the scene's own: rain takes no part in it.
+        """
+        self._take_stock()
+        self._drawn = RenderStatistics(
+            gaussians=sum(part.drawn_count for part in parts), stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0}
+        )
+        falling = rain if look == "splats" else None
+        self._drawn.haze_drawn = falling.haze_drawn if falling is not None else 0
+        self._makes_drops = falling is not None and falling.streak_field is not None
+        before = self.context.detect_framebuffer()
+        self.context.memory_barrier()  # else shaders may write what those of the last frame still read
+        with self._timers.stage("project"):
+            slots = self._projection.project(self._store, parts, camera, falling, look)
+        with self._timers.stage("sort"):
+            self._projection.bring_together(self._store, self._sort, slots)
+            order = self._sort.sort(self._store.work)
+        with self._timers.stage("draw"):
+            light = falling.light_linear if falling is not None and falling.mixing == "linear" else None
+            with_depth = with_depth or look == "depth"
+            self._blend(order, camera, look, with_depth=with_depth, linear_rain=light is not None)
+            self._picture = self._resolve(look, light)
+        before.use()
+        self.arrays.release_unused()
+        if self._is_software:
+            self._take_stock()
+
+    def read(self) -> Frame:
+        """Fetch the last picture (and depth, if it was drawn) from the GPU.
+
+        Raises `LostContextError` where the GPU was reset meanwhile: what comes from it is then no picture.
+        """
+        self._take_stock()
+        rgba = self._fetch(self.picture)
+        depth = self._targets["splats"].depth
+        fetched_depth = None if depth is None else self._fetch(depth)
+        check_context(self.context)
+        if fetched_depth is None:
+            return Frame(rgba)
+        weighted, weight = np.moveaxis(fetched_depth, -1, 0)
+        return Frame(rgba, np.where(weight > 0.5, weighted / np.maximum(weight, np.float32(0.5)), np.float32(0)))
+
+    def upload(
+        self, gaussians: Gaussians, slice_size: int = CHUNK // 64, *, wet_sh: WetColors = None
+    ) -> Iterator[float]:
+        """Bring Gaussians, and their wet colours, to the GPU ahead of their first frame, a slice at each step."""
+        return self.arrays.upload(gaussians, slice_size, wet_sh=wet_sh)
+
+    def _take_stock(self) -> None:
+        """Ask the GPU what the last picture was made of."""
+        if self._drawn is None:
+            return
+        self._measured, self._drawn = self._drawn, None
+        self._measured.stages_ms |= self._timers.collect()
+        self._measured.splats_drawn = int(np.frombuffer(self._store.work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
+        if self._makes_drops:
+            self._measured.drops_drawn = self._projection.drops.found_count()
+
+    def _fetch(self, texture: moderngl.Texture) -> Float32[np.ndarray, "h w c"]:
+        width, height = texture.size
+        values = np.frombuffer(texture.read(), np.float16 if texture.dtype == "f2" else np.float32)
+        return values.reshape(height, width, texture.components).astype(np.float32)
+
+    def _blend(
+        self, order: moderngl.Buffer, camera: Camera, look: Look, *, with_depth: bool, linear_rain: bool
+    ) -> None:
+        """Draw the splats of an order over nothing."""
+        size = (camera.width, camera.height)
+        target = self._target("splats", TargetLayout(size, self._dtype, linear_rain, with_depth))
+        switches = {"LINEAR_RAIN": linear_rain, "WITH_DEPTH": with_depth}
+        switches |= {"ELLIPSOIDS": look == "ellipsoids", "OVERDRAW": look == "overdraw"}
+        macros = {name: 1 for name, wanted in switches.items() if wanted} | dict(self._store.switches)
+        program, vertices = self._program("splat.vert", "splat.frag", macros, self._quads)
+        program["image_size"] = size
+        target.framebuffer.use()
+        target.framebuffer.clear()
+        self._store.bind()
+        order.bind_to_storage_buffer(SLOTS)
+        context = self.context
+        context.enable_only(moderngl.BLEND)
+        context.blend_func = moderngl.ONE, moderngl.ONE if look == "overdraw" else moderngl.ONE_MINUS_SRC_ALPHA
+        context.provoking_vertex = moderngl.FIRST_VERTEX_CONVENTION
+        vertices.render_indirect(self._store.work, moderngl.TRIANGLES, count=1)
+        context.provoking_vertex = moderngl.LAST_VERTEX_CONVENTION
+        context.enable_only(moderngl.NOTHING)
+
+    def _resolve(self, look: Look, rain_light: Float32[np.ndarray, "3"] | None) -> moderngl.Texture:
+        """Make the picture of what was blended: scene and rain in linear light, or numbers as heat colours."""
+        splats = self._targets["splats"]
+        if rain_light is not None:
+            assert splats.shares is not None
+            program, vertices = self._program("screen.vert", "rain_resolve.frag", {})
+            program["rain_light"] = tuple(rain_light)
+            textures = {"clear_scene": splats.color, "shares": splats.shares}
+        elif look in ("depth", "overdraw"):
+            program, vertices = self._program("screen.vert", "heat.frag", {"DEPTH": 1} if look == "depth" else {})
+            program["ends"] = (NEAREST_M, FARTHEST_M) if look == "depth" else (0.0, float(MOST_FRAGMENTS))
+            numbers = splats.depth if look == "depth" else splats.color
+            assert numbers is not None
+            textures = {"numbers": numbers}
+        else:
+            return splats.color
+        for unit, (name, texture) in enumerate(textures.items()):
+            texture.use(unit)
+            program[name] = unit
+        target = self._target("resolved", TargetLayout(splats.layout.size, self._dtype))
+        target.framebuffer.use()
+        vertices.render(moderngl.TRIANGLES, vertices=3)
+        return target.color
+
+    def _program(
+        self, vertex: str, fragment: str, switches: Switches, indices: moderngl.Buffer | None = None
+    ) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        key = (fragment, *switches.items())
+        if key not in self._programs:
+            program = load_program(self.context, vertex, fragment, switches=switches)
+            self._programs[key] = program, self.context.vertex_array(program, [], index_buffer=indices)
+        return self._programs[key]
+
+    def _target(self, name: str, layout: TargetLayout) -> Target:
+        held = self._targets.get(name)
+        if held is None or held.layout != layout:
+            if held is not None:
+                held.release()
+            self._targets[name] = Target.make(self.context, layout)
+        return self._targets[name]
+
+
+def _quad_indices() -> np.ndarray:
+    """Two triangles for each quad of an instance; both begin with the quad's first vertex."""
+    quads = 4 * np.arange(_QUADS_BY_INSTANCE, dtype=np.uint32)[:, None]
+    return (quads + np.array([0, 1, 2, 1, 3, 2], np.uint32)).ravel()
+
+
+# § Brings a picture to a screen: background, display gain, 8 bits.
+
+
+class Screen:
+    """An 8-bit texture of the size of the last picture."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._program = load_program(context, "screen.vert", "tonemap.frag")
+        self._vertices = context.vertex_array(self._program, [])
+        self._texture: moderngl.Texture | None = None
+        self._framebuffer: moderngl.Framebuffer | None = None
+
+    def show(
+        self, picture: moderngl.Texture, background: Color = (0.0, 0.0, 0.0), gain: float = 1.0
+    ) -> moderngl.Texture:
+        """Tone-map a premultiplied picture; `gain` multiplies linear light."""
+        if self._texture is None or self._texture.size != picture.size:
+            if self._texture is not None and self._framebuffer is not None:
+                self._framebuffer.release()
+                self._texture.release()
+            self._texture = self._context.texture(picture.size, 4)
+            self._framebuffer = self._context.framebuffer([self._texture])
+        assert self._framebuffer is not None
+        picture.use(0)
+        self._program["picture"] = 0
+        self._program["background"] = background
+        self._program["gain"] = gain
+        before = self._context.detect_framebuffer()
+        self._framebuffer.use()
+        self._vertices.render(moderngl.TRIANGLES, vertices=3)
+        before.use()
+        return self._texture
+
+
+# § Draws without a window, in an OpenGL context of its own.
+
+
+class OffscreenRenderer(SplatRenderer):
+    """A `SplatRenderer` that draws in its context whichever is current, so that several can take turns on a thread."""
+
+    def draw(
+        self,
+        parts: Sequence[Part],
+        camera: Camera,
+        rain: FallingRain | None = None,
+        *,
+        with_depth: bool = False,
+        look: Look = "splats",
+    ) -> None:
+        with self.context:
+            super().draw(parts, camera, rain, with_depth=with_depth, look=look)
+
+    def read(self) -> Frame:
+        with self.context:
+            return super().read()

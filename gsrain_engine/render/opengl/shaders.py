@@ -1,0 +1,129 @@
+"""GLSL sources: includes, switches, and compile errors that name the shader's own file and line."""
+
+import re
+import time
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+
+import moderngl
+
+from ...presets import shipped_folder
+from .context import is_software
+
+_INCLUDE = re.compile(r'^\s*#include "(\w+\.glsl)"\s*$')
+
+# Mesa "0:7(3): error", NVIDIA "0(7) : error", others "ERROR: 0:7: ...".
+_LINE_IN_ERROR = re.compile(r"^(?:ERROR: )?0[:(](\d+)\)?", re.MULTILINE)
+
+
+class ShaderError(RuntimeError):
+    """A shader that does not compile: the driver's words with our files and lines."""
+
+
+Switches = Mapping[str, int]
+"""Macros that a shader is compiled with, by name."""
+
+
+def load_program(context: moderngl.Context, *names: str, switches: Switches | None = None) -> moderngl.Program:
+    """Compile a vertex and a fragment shader (`name.vert`, `name.frag`) of the package `shaders`."""
+    vertex, fragment = (_Source(name, switches or {}) for name in names)
+    try:
+        return context.program(vertex_shader=vertex.text, fragment_shader=fragment.text)
+    except moderngl.Error as error:
+        source = vertex if "vertex_shader" in str(error) else fragment
+        raise ShaderError(source.explain(str(error))) from None
+
+
+def load_compute_shader(
+    context: moderngl.Context, name: str, switches: Switches | None = None
+) -> moderngl.ComputeShader:
+    """Compile a compute shader (`name.comp`) of the package `shaders`."""
+    source = _Source(name, switches or {})
+    try:
+        return context.compute_shader(source.text)
+    except moderngl.Error as error:
+        raise ShaderError(source.explain(str(error))) from None
+
+
+class _Source:
+    """The text of a shader after its includes, and where each line came from."""
+
+    def __init__(self, name: str, switches: Switches) -> None:
+        self.name = name
+        self.origins: list[tuple[str, int]] = []
+        self._lines: list[str] = []
+        self._switches = switches
+        self._take_in(name)
+        self.text = "\n".join(self._lines) + "\n"
+
+    def _take_in(self, name: str) -> None:
+        for number, line in enumerate(_read(name), start=1):
+            include = _INCLUDE.match(line)
+            if include:
+                self._take_in(include[1])
+                continue
+            added = [line]
+            if line.startswith("#version"):
+                added += [f"#define {switch} {value}" for switch, value in self._switches.items()]
+            self._lines += added
+            self.origins += [(name, number)] * len(added)
+
+    def explain(self, message: str) -> str:
+        """Replace line numbers of the expanded text by file names and lines."""
+
+        def place(match: re.Match[str]) -> str:
+            line = int(match[1])
+            if not 1 <= line <= len(self.origins):
+                return match[0]
+            file, number = self.origins[line - 1]
+            return f"{file}:{number}"
+
+        return f"{self.name} does not compile:\n" + _LINE_IN_ERROR.sub(place, message)
+
+
+def _read(name: str) -> list[str]:
+    return (shipped_folder("shaders") / name).read_text(encoding="utf-8").splitlines()
+
+
+# § How long each stage of a frame takes on the GPU, without making anyone wait for it.
+
+
+class GpuTimers:
+    """One timer query a stage; `collect` reads them when the frame is long done.
+
+    A software rasterizer's queries mean nothing: there each stage is waited for and its wall time taken, which costs
+    little where the same processor does the work.
+    """
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._is_software = is_software(context)
+        self._free: list[moderngl.Query] = []
+        self._running: list[tuple[str, moderngl.Query]] = []
+        self._stages_ms: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Generator[None]:
+        """Measure the work that is handed to OpenGL within the block. Stages don't nest; of one name they add up."""
+        if self._is_software:
+            start = time.perf_counter()
+            yield
+            self._context.finish()
+            self._add(name, 1000 * (time.perf_counter() - start))
+            return
+        query = self._free.pop() if self._free else self._context.query(time=True)
+        with query:
+            yield
+        self._running.append((name, query))
+
+    def collect(self) -> dict[str, float]:
+        """Milliseconds by stage since the last call; waits for the GPU where it is not done yet."""
+        for name, query in self._running:
+            self._add(name, query.elapsed / 1e6)
+            self._free.append(query)
+        self._running.clear()
+        collected, self._stages_ms = self._stages_ms, {}
+        return collected
+
+    def _add(self, name: str, milliseconds: float) -> None:
+        self._stages_ms[name] = self._stages_ms.get(name, 0.0) + milliseconds

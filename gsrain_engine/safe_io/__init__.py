@@ -1,0 +1,1 @@
+"""Files and streams from strangers: limits before memory, and errors in one sentence."""

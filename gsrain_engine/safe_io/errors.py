@@ -1,0 +1,122 @@
+"""What msgspec says of a wrong value, with what would be right: the kinds, words and fields that a type has there."""
+
+import difflib
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+from msgspec import inspect
+
+from .text_files import check_finite, printable
+
+_LONGEST = 3000
+"""Signs of a sentence: settings of a training have some forty fields."""
+
+_PLACE = re.compile(r" - at `\$(.*)`$")
+
+_STEP = re.compile(r"\.([^.\[]+)|\[[^\]]*\]")
+
+_WRONG_WORD = re.compile(r"Invalid (?:enum )?value ")
+
+_NO_FIELD = re.compile(r"Object contains unknown field `(.*?)`")
+
+
+def explained(error: Exception, kind: Any, values: Any = None) -> str:
+    """Return an error of `msgspec.convert(..., kind)` with the words that would be right where one is wrong.
+
+    `Invalid value 'brak' - at `$.behaviour.kind`` becomes `Invalid value 'brak', expected brake, cut-in, ... - at ...`;
+    an unknown field gets the field that is most like it, and all that there are. `values` are what was to be converted:
+    of several kinds of objects that can stand at a place, those of its own kind are listed.
+    """
+    message = " ".join(str(error).split())
+    place = _PLACE.search(message)
+    steps = [match[1] or "" for match in _STEP.finditer(place[1])] if place else []
+    said = message if place is None else message[: place.start()]
+    found = _NO_FIELD.match(said)
+    if _WRONG_WORD.match(said):
+        words = list(dict.fromkeys(_words(_types(kind, steps[:-1]), steps[-1] if steps else "")))
+        said += f", expected {', '.join(words)}" if words else ""
+    elif found is not None:
+        fields = list(dict.fromkeys(_fields(_types(kind, steps), _at(values, place[1] if place else ""))))
+        like = difflib.get_close_matches(found[1], fields, n=1)
+        said += f"; did you mean `{like[0]}`?" if like else ""
+        said += f"{'' if like else ';'} valid: {', '.join(fields)}" if fields else ""
+    return said + (message[place.start() :] if place else "")
+
+
+def _fields(types: list[inspect.Type], value: Any) -> Iterator[str]:
+    """Names of the fields that an object can have at a place; of those told apart by a tag, the fields of its own."""
+    objects = [each for each in types if isinstance(each, inspect.StructType | inspect.DataclassType)]
+    tagged = [each for each in objects if isinstance(each, inspect.StructType) and each.tag_field is not None]
+    if isinstance(value, dict):
+        own = [each for each in tagged if value.get(each.tag_field) == each.tag]  # pyright: ignore[reportUnknownMemberType]
+        objects = own or objects
+    for each in objects:
+        if isinstance(each, inspect.StructType) and each.tag_field is not None:
+            yield each.tag_field
+        yield from (field.encode_name for field in each.fields)
+
+
+def _at(values: Any, place: str) -> Any:
+    """Return what stands at a place such as `.rain` or `.agents[0]`; None where that can't be followed."""
+    for match in _STEP.finditer(place):
+        try:
+            values = values[match[1]] if match[1] else values[int(match[0][1:-1])]
+        except (KeyError, IndexError, TypeError, ValueError):
+            return None
+    return values
+
+
+def _types(kind: Any, steps: list[str]) -> list[inspect.Type]:
+    """All types that can stand at a place: a step is the name of a field, or nothing for a member of a sequence."""
+    here = list(_choices(inspect.type_info(kind)))
+    for step in steps:
+        here = [choice for each in here for inner in _inside(each, step) for choice in _choices(inner)]
+    return here
+
+
+def _choices(found: inspect.Type) -> Iterator[inspect.Type]:
+    if isinstance(found, inspect.Metadata):
+        yield from _choices(found.type)
+    elif isinstance(found, inspect.UnionType):
+        for each in found.types:
+            yield from _choices(each)
+    else:
+        yield found
+
+
+def _inside(found: inspect.Type, step: str) -> Iterator[inspect.Type]:
+    if isinstance(found, inspect.StructType | inspect.DataclassType):
+        yield from (field.type for field in found.fields if field.encode_name == step)
+    elif isinstance(found, inspect.ListType | inspect.SetType | inspect.VarTupleType):
+        yield found.item_type
+    elif isinstance(found, inspect.TupleType):
+        yield from found.item_types
+    elif isinstance(found, inspect.DictType):
+        yield found.value_type
+
+
+def _words(around: list[inspect.Type], name: str) -> Iterator[str]:
+    """Words that can stand in a field: tags of the structs around it, or what the field's own type lists."""
+    for each in around:
+        if isinstance(each, inspect.StructType) and each.tag_field == name:
+            yield str(each.tag)
+        for inner in _inside(each, name):
+            for choice in _choices(inner):
+                if isinstance(choice, inspect.LiteralType):
+                    yield from map(str, choice.values)
+                elif isinstance(choice, inspect.EnumType):
+                    yield from (str(member.value) for member in choice.cls)
+
+
+def converted(values: Any, kind: Any, **options: Any) -> Any:
+    """Return plain values as a type that msgspec knows.
+
+    Raises msgspec.ValidationError (a ValueError) with the place and what is allowed, ValueError for NaN or infinity.
+    """
+    check_finite(values)
+    try:
+        return msgspec.convert(values, kind, **options)
+    except msgspec.ValidationError as error:
+        raise msgspec.ValidationError(printable(explained(error, kind, values), _LONGEST)) from None

@@ -1,0 +1,114 @@
+"""NumPy archives (.npz) of strangers: sizes are looked at before memory is taken, and nothing in them is run."""
+
+import io
+import math
+import tokenize
+import warnings
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from .limits import open_file
+
+_MOST_BYTES = 8 << 30
+
+_SUFFIX = ".npy"
+
+_KINDS = "fiubU"
+"""Numbers, and the names that they go by."""
+
+DAMAGES = (
+    ArithmeticError, EOFError, LookupError, MemoryError, NotImplementedError, OSError, RecursionError, RuntimeError,
+    TypeError, ValueError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What zipfile and NumPy raise over damaged archives."""
+
+
+def read_archive(path: Path, most_bytes: int = _MOST_BYTES) -> dict[str, np.ndarray]:
+    """Read all arrays of an archive by their names.
+
+    Raises FileNotFoundError, and ValueError with what is wrong where the archive is damaged, would take more memory
+    than `most_bytes`, says another size than it has, or holds objects.
+    """
+    with open_file(path) as stream:
+        try:
+            return _arrays(stream, most_bytes)
+        except DAMAGES as error:
+            words = str(error).strip().splitlines()
+            raise ValueError(words[0] if words else f"it is damaged ({type(error).__name__})") from None
+
+
+def _arrays(stream: io.BufferedReader, most_bytes: int) -> dict[str, np.ndarray]:
+    with zipfile.ZipFile(stream) as archive:
+        members = archive.infolist()
+        if sum(each.file_size for each in members) > most_bytes:
+            raise ValueError(f"it holds more than {most_bytes / 1e9:g} GB")
+        return {each.filename.removesuffix(_SUFFIX): read_member(archive, each, _KINDS) for each in members}
+
+
+def read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, kinds: str = "fiub") -> np.ndarray:
+    """Read an array whose header fits how long it is: NumPy takes the memory that a header asks for.
+
+    Raises ValueError where it does not fit or is of other `kinds`, and what else is in `DAMAGES`.
+    """
+    name = member.filename
+    with archive.open(member) as stream:
+        shape, is_fortran, dtype = read_array_header(stream, kinds)
+        wanted = array_bytes(shape, dtype)
+        if wanted > member.file_size:
+            raise ValueError(f"{name}: an array of {dtype} {shape} in {member.file_size} bytes")
+        data = stream.read(wanted + 1)
+    if len(data) != wanted:
+        raise ValueError(f"{name}: an array of {dtype} {shape} in {len(data)} bytes")
+    return np.frombuffer(data, dtype).reshape(shape, order="F" if is_fortran else "C").copy()
+
+
+# § Headers of NumPy's array files (.npy) of strangers: which array they speak of, before memory is taken for it.
+
+_VERSIONS = ((1, 0), (2, 0), (3, 0))
+
+_DAMAGES = (
+    ArithmeticError, EOFError, LookupError, MemoryError, RecursionError, SyntaxError, TypeError, ValueError,
+    tokenize.TokenError,
+)  # fmt: skip
+"""What NumPy raises over damaged headers: it takes them for Python."""
+
+
+@runtime_checkable
+class Readable(Protocol):
+    """What NumPy needs of a file."""
+
+    def read(self, size: int = ..., /) -> bytes:
+        """Read so many bytes, or fewer at the end."""
+        ...
+
+
+def read_array_header(stream: Readable, kinds: str = "fiub") -> tuple[tuple[int, ...], bool, "np.dtype[Any]"]:
+    """Read shape, whether columns come first (Fortran's order), and type; the numbers are what comes next.
+
+    Raises ValueError, with what is wrong in a clause, for anything but an array of plain numbers, or of what other
+    `kinds` NumPy's letters stand for.
+    """
+    try:
+        version = np.lib.format.read_magic(stream)
+        if version not in _VERSIONS:
+            raise ValueError(f"version {version[0]}.{version[1]} of NumPy's format is not known")
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # NumPy's words about how the header was written
+            shape, is_fortran, dtype = read(stream)
+    except _DAMAGES as error:
+        words = str(error).strip().splitlines()
+        raise ValueError(words[0] if words else f"its header is damaged ({type(error).__name__})") from None
+    if dtype.kind not in kinds:
+        raise ValueError(f"holds {dtype}, not real numbers")
+    if any(side < 0 for side in shape):
+        raise ValueError(f"an array of the shape {shape} can't be")
+    return shape, is_fortran, dtype
+
+
+def array_bytes(shape: tuple[int, ...], dtype: "np.dtype[Any]") -> int:
+    return math.prod(shape) * dtype.itemsize

@@ -1,0 +1,284 @@
+"""A camera that moves: keys with curves through positions, rotations and fields of view."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import scipy  # which loads its parts where they are used first: most scenes are opened without a flight
+from jaxtyping import Float64
+
+from .camera import DEFAULT_EXPOSURE_S, Camera
+from .geometry import matrices_from_quaternions, quaternions_from_matrices
+
+_KEYS_OF_A_CIRCLE = 12
+"""A spline through so many keys is off the circle by 0.02 % of its radius."""
+
+_SHORTEST_S, _NARROWEST_DEG, _FARTHEST = 1e-9, 1e-4, 1e12
+"""Times that are nearer to each other, narrower views and larger numbers are those of damaged files."""
+
+_NOT_UNIT = 1e-3
+
+# § What lies between the keys of a camera path: curves through places, rotations and fields of view.
+
+Interpolation = Literal["spline", "linear"]
+"""spline: smooth through all keys; linear: straight from key to key, at constant speed between two of them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathCurves:
+    """Curves through two or more keys; to be asked between the first key and the last only, or the seam of a loop."""
+
+    positions: Callable[..., Any]
+    """Of path time; a second argument of 1 gives the derivative."""
+    rotations: Callable[..., Any]
+    """SciPy's Rotation, of path time."""
+    fields_of_view: Callable[..., Any]
+
+    @classmethod
+    def through(
+        cls,
+        times_s: Float64[np.ndarray, " k"],
+        positions: Float64[np.ndarray, "k 3"],
+        quaternions_wxyz: Float64[np.ndarray, "k 4"],
+        fields_of_view: Float64[np.ndarray, " k"],
+        interpolation: Interpolation = "spline",
+        period_s: float | None = None,
+    ) -> "PathCurves":
+        """Lay curves through keys; with a period the last key leads on to the first, without a kink in a spline.
+
+        Splines: natural cubic for places, cubic in rotation vectors for rotations (scipy's RotationSpline), monotone
+        cubic for the field of view, which so never leaves the range of its two keys.
+        """
+        if period_s is not None:
+            n = len(times_s)
+            rounds = np.arange(-_KEYS_AROUND_A_LOOP, n + 1 + _KEYS_AROUND_A_LOOP)
+            keys = rounds % n
+            times_s = times_s[keys] + period_s * (rounds // n)
+            positions, quaternions_wxyz, fields_of_view = positions[keys], quaternions_wxyz[keys], fields_of_view[keys]
+        splines, turning = scipy.interpolate, scipy.spatial.transform
+        rotations = turning.Rotation.from_quat(quaternions_wxyz[:, [1, 2, 3, 0]])
+        if interpolation == "linear":
+            return cls(
+                splines.make_interp_spline(times_s, positions, k=1),
+                turning.Slerp(times_s, rotations),
+                splines.make_interp_spline(times_s, fields_of_view, k=1),
+            )
+        return cls(
+            splines.CubicSpline(times_s, positions, bc_type="natural"),
+            turning.RotationSpline(times_s, rotations),
+            splines.PchipInterpolator(times_s, fields_of_view),
+        )
+
+
+# § How time goes by between the keys of a camera path: evenly, or slower where the camera sets off and arrives.
+
+Easing = Literal["none", "in and out", "at each key"]
+"""none: even; in and out: sets off and arrives gently; at each key: comes to rest at every key."""
+
+
+class Eased(NamedTuple):
+    """A moment of the clock, and where on the path's own time that is."""
+
+    times_s: Float64[np.ndarray, " t"]
+    rates: Float64[np.ndarray, " t"]
+    """Path seconds that go by in a second of the clock."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPath:
+    """Keyframes of a flight. Camera axes are OpenCV's (x right, y down, z forward); the world is that of the caller."""
+
+    times_s: Float64[np.ndarray, " k"]
+    """Rising; moments of the scene, so that a flight meets the same traffic and the same rain each time."""
+    positions: Float64[np.ndarray, "k 3"]
+    quaternions_wxyz: Float64[np.ndarray, "k 4"]
+    """Camera to world, unit."""
+    vertical_fov_deg: Float64[np.ndarray, " k"]
+    exposure_s: float = DEFAULT_EXPOSURE_S
+    interpolation: Interpolation = "spline"
+    easing: Easing = "none"
+    loop: bool = False
+    """Fly from the last key on to the first, in as long as the other intervals take on average, and so on for ever."""
+    is_timed: bool = True
+    """Whether the times are known. Keys of photos without times are laid out at walking pace (`paced`), and a still
+    from such a path is that of a camera at rest."""
+
+    def __post_init__(self) -> None:
+        keys = len(self.times_s)
+        arrays = (self.times_s, self.positions, self.quaternions_wxyz, self.vertical_fov_deg)
+        if [len(array) for array in arrays] != [keys] * 4:
+            raise ValueError("a camera path needs a place, a rotation and a field of view for each of its times")
+        if not all(np.isfinite(array).all() for array in arrays if array is not self.quaternions_wxyz):
+            raise ValueError("a keyframe holds a number that is not finite")
+        if not max((np.abs(array).max(initial=0) for array in arrays), default=0) < _FARTHEST:
+            raise ValueError(f"a keyframe holds a number above {_FARTHEST:g}")
+        if not (np.abs(np.linalg.norm(self.quaternions_wxyz, axis=1) - 1) < _NOT_UNIT).all():
+            raise ValueError("a keyframe holds a rotation that is none: its quaternion must be finite and not 0")
+        if keys and not (self.vertical_fov_deg.min() > _NARROWEST_DEG and self.vertical_fov_deg.max() < 180):
+            raise ValueError("the vertical field of view must be above 0 and below 180 degrees")
+        if keys == 0 or np.any(np.diff(self.times_s) < _SHORTEST_S):
+            raise ValueError("a camera path needs at least one keyframe, with rising times")
+
+    @classmethod
+    def through(cls, times_s: Sequence[float], cameras: Sequence[Camera]) -> "CameraPath":
+        """Fly through cameras at moments, in seconds, which rise; the exposure is the first one's.
+
+        Raises ValueError where there is no camera, there are not as many moments, or they don't rise.
+        """
+        if len(times_s) != len(cameras):
+            raise ValueError(f"a camera path needs a moment for each camera: {len(times_s)} for {len(cameras)}")
+        if not cameras:
+            raise ValueError("a camera path needs at least one camera")
+        poses = np.stack([camera.camera_to_world for camera in cameras])
+        fov = np.array([camera.vertical_fov_deg for camera in cameras])
+        quaternions = quaternions_from_matrices(poses[:, :3, :3])
+        return cls(np.asarray(times_s, np.float64), poses[:, :3, 3], quaternions, fov, cameras[0].exposure_s)
+
+    @property
+    def start_s(self) -> float:
+        """Moment of the first key."""
+        return float(self.times_s[0])
+
+    @property
+    def end_s(self) -> float:
+        """Moment of the last key; of a loop, when it is back at the first one."""
+        return float(self._knots_s[-1])
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first key to the last, and of a loop back to the first."""
+        return float(self._knots_s[-1] - self._knots_s[0])
+
+    def camera(self, time_s: float, width: int, height: int) -> Camera:
+        """Camera at a time; before the first key and after the last it stands still, unless it loops."""
+        t = float(self._at(np.array([time_s])).times_s[0])
+        camera_to_world = np.eye(4)
+        camera_to_world[:3, :3] = self._rotation(t)
+        camera_to_world[:3, 3] = self._position(t)
+        camera = Camera.from_fov(width, height, self._fov(t), np.linalg.inv(camera_to_world))
+        return Camera(*_intrinsics(camera), camera.world_to_camera, self.exposure_s)
+
+    def velocity(self, time_s: float) -> Float64[np.ndarray, "3"]:
+        """Velocity of the camera in world units a second; zero outside the keys."""
+        return self.velocities(np.array([float(time_s)]))[0]
+
+    def velocities(self, times_s: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, "t 3"]:
+        """Velocities of the camera at many moments, as `velocity` gives them."""
+        if len(self.times_s) < 2:
+            return np.zeros((len(times_s), 3))
+        at = self._at(times_s)
+        flying = self.loop | ((self.start_s <= times_s) & (times_s <= self.end_s))
+        return np.where(flying[:, None], at.rates[:, None] * self._curves.positions(at.times_s, 1), 0.0)
+
+    def places(self, times_s: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, "t 3"]:
+        """Positions of the camera at many moments."""
+        if len(self.times_s) < 2:
+            return np.repeat(self.positions, len(times_s), axis=0)
+        return self._curves.positions(self._at(times_s).times_s)
+
+    def turns(self, times_s: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, "t 3 3"]:
+        """Rotations, camera to world, at many moments."""
+        if len(self.times_s) < 2:
+            return np.repeat(matrices_from_quaternions(self.quaternions_wxyz), len(times_s), axis=0)
+        return self._curves.rotations(self._at(times_s).times_s).as_matrix()
+
+    def moved(self, similarity: Float64[np.ndarray, "4 4"]) -> "CameraPath":
+        """Return the path in a world that was moved, turned and scaled (scene units to metres, say)."""
+        turn = similarity[:3, :3] / np.cbrt(np.linalg.det(similarity[:3, :3]))
+        return replace(
+            self,
+            positions=self.positions @ similarity[:3, :3].T + similarity[:3, 3],
+            quaternions_wxyz=quaternions_from_matrices(turn @ matrices_from_quaternions(self.quaternions_wxyz)),
+        )
+
+    def _at(self, times_s: Float64[np.ndarray, " t"]) -> Eased:
+        """Moments within the flight, with easing."""
+        knots = self._knots_s
+        if self.loop and len(knots) > 1:
+            within = knots[0] + np.mod(times_s - knots[0], knots[-1] - knots[0])
+        else:
+            within = np.clip(times_s, knots[0], knots[-1])
+        return eased(self.easing, knots, within)
+
+    def _position(self, t: float) -> Float64[np.ndarray, "3"]:
+        return self.positions[0] if len(self.times_s) < 2 else self._curves.positions(t)
+
+    def _rotation(self, t: float) -> Float64[np.ndarray, "3 3"]:
+        if len(self.times_s) < 2:
+            return matrices_from_quaternions(self.quaternions_wxyz[0])
+        return self._curves.rotations(t).as_matrix()
+
+    def _fov(self, t: float) -> float:
+        return float(self.vertical_fov_deg[0] if len(self.times_s) < 2 else self._curves.fields_of_view(t))
+
+    @cached_property
+    def _knots_s(self) -> Float64[np.ndarray, " k"]:
+        """Moments of the keys; of a loop, also when it closes."""
+        times = self.times_s
+        if not self.loop or len(times) < 2:
+            return times
+        return np.append(times, times[-1] + (times[-1] - times[0]) / (len(times) - 1))
+
+    @cached_property
+    def _curves(self) -> PathCurves:
+        keys = self.times_s, self.positions, self.quaternions_wxyz, self.vertical_fov_deg
+        return PathCurves.through(*keys, self.interpolation, self.duration_s if self.loop else None)
+
+
+def orbit_path(
+    center: Float64[np.ndarray, "3"], camera: Camera, duration_s: float, sweep_deg: float = 40.0
+) -> CameraPath:
+    """Swing around a point, from one side of a camera's place to the other, looking as it does. World z is up."""
+    angles = np.radians(np.linspace(-sweep_deg / 2, sweep_deg / 2, 9))
+    return _around(center, camera, angles, np.linspace(0, duration_s, len(angles)))
+
+
+def circle_path(center: Float64[np.ndarray, "3"], camera: Camera, duration_s: float) -> CameraPath:
+    """Fly round a point for ever, from a camera's place on, looking as it does. World z is up."""
+    shares = np.arange(_KEYS_OF_A_CIRCLE) / _KEYS_OF_A_CIRCLE
+    return replace(_around(center, camera, 2 * np.pi * shares, duration_s * shares), loop=True)
+
+
+def _around(
+    center: Float64[np.ndarray, "3"],
+    camera: Camera,
+    angles: Float64[np.ndarray, " k"],
+    times: Float64[np.ndarray, " k"],
+) -> CameraPath:
+    """Keys of a camera that is turned around a point by angles in radians."""
+    turns = scipy.spatial.transform.Rotation.from_euler("z", angles[:, None]).as_matrix()
+    pose = camera.camera_to_world
+    rotations = turns @ pose[:3, :3]
+    positions = (turns @ (pose[:3, 3] - center)) + center
+    fov = np.full(len(angles), camera.vertical_fov_deg)
+    return CameraPath(times, positions, quaternions_from_matrices(rotations), fov, camera.exposure_s)
+
+
+def _intrinsics(camera: Camera) -> tuple[int, int, float, float, float, float]:
+    return camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+
+
+_KEYS_AROUND_A_LOOP = 24
+"""Keys that are laid out before and after a loop: a spline forgets its ends by a factor of 2 or more a key."""
+
+
+def eased(easing: Easing, knots_s: Float64[np.ndarray, " k"], times_s: Float64[np.ndarray, " t"]) -> Eased:
+    """Path time at moments between the first knot and the last.
+
+    Every knot stays at its moment, the order of moments stays, and the rate has no jumps. Between two knots that both
+    are rests it is u^2 (3 - 2u) of the share u of the interval; where only the first is, u^2 (2 - u); where only the
+    last is, that backwards.
+    """
+    if easing == "none" or len(knots_s) < 2:
+        return Eased(times_s, np.ones_like(times_s))
+    k = np.clip(np.searchsorted(knots_s, times_s, side="right") - 1, 0, len(knots_s) - 2)
+    length = knots_s[k + 1] - knots_s[k]
+    u = (times_s - knots_s[k]) / length
+    sets_off = (k == 0) | (easing == "at each key")
+    arrives = (k == len(knots_s) - 2) | (easing == "at each key")
+    cases = [sets_off & arrives, sets_off, arrives]
+    shares = np.select(cases, [u * u * (3 - 2 * u), u * u * (2 - u), u + u * u - u**3], u)
+    rates = np.select(cases, [6 * u * (1 - u), u * (4 - 3 * u), 1 + 2 * u - 3 * u * u], 1.0)
+    return Eased(knots_s[k] + length * shares, rates)

@@ -1,0 +1,392 @@
+"""Changes of a camera path, key by key: each returns a new path in the same frame as the given one."""
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from .camera import Camera
+from .camera_path import CameraPath
+from .geometry import normalized, quaternions_from_matrices
+
+SAME_TIME_S = 0.005
+"""Keys as near as this are one key: less than half a frame at 60 frames a second."""
+
+
+class Keyed(NamedTuple):
+    """A path, and the number of the key that was changed: keys that pass one another change their numbers."""
+
+    path: CameraPath
+    key: int
+
+
+def key_at(path: CameraPath, time_s: float) -> int | None:
+    """Number of the key at a moment; None where there is none."""
+    key = int(np.argmin(np.abs(path.times_s - time_s)))
+    return key if abs(path.times_s[key] - time_s) <= SAME_TIME_S else None
+
+
+def key_camera(path: CameraPath, key: int, width: int, height: int) -> Camera:
+    """Camera of a key: exactly the one that was put there."""
+    return replace(path, easing="none", loop=False).camera(float(path.times_s[key]), width, height)
+
+
+def with_key(path: CameraPath | None, time_s: float, camera: Camera) -> Keyed:
+    """Put a camera at a moment, in the place of the key that is there already; without a path, begin one."""
+    time = np.array([float(time_s)])
+    pose = camera.camera_to_world
+    fov = np.array([camera.vertical_fov_deg])
+    quaternion = quaternions_from_matrices(pose[None, :3, :3])
+    if path is None:
+        return Keyed(CameraPath(time, pose[None, :3, 3], quaternion, fov, camera.exposure_s), 0)
+    key = key_at(path, time_s)
+    if key is not None:
+        return Keyed(placed_key(path, key, pose[:3, 3], quaternion[0], float(fov[0])), key)
+    longer = _with_rows(replace(path, is_timed=True), time, pose[None, :3, 3], quaternion, fov)
+    return Keyed(longer, int(np.searchsorted(longer.times_s, time[0])))
+
+
+def without_key(path: CameraPath, key: int) -> CameraPath | None:
+    """Take a key away; None where it was the last one."""
+    kept = np.delete(np.arange(len(path.times_s)), key)
+    return _of_keys(path, kept, path.times_s[kept]) if len(kept) else None
+
+
+def moved_key(path: CameraPath, key: int, time_s: float) -> Keyed:
+    """Move a key to another moment, past others if need be; where another one is, to the nearest free moment."""
+    free = _free_moment(np.delete(path.times_s, key), time_s)
+    times = path.times_s.copy()
+    times[key] = free
+    order = np.argsort(times)
+    return Keyed(_of_keys(replace(path, is_timed=True), order, times[order]), int(np.flatnonzero(order == key)[0]))
+
+
+def copied_key(path: CameraPath, key: int, time_s: float) -> Keyed:
+    """Put a copy of a key at another moment; where another key is, at the nearest free moment."""
+    free = _free_moment(path.times_s, time_s)
+    rows = (path.positions[key : key + 1], path.quaternions_wxyz[key : key + 1], path.vertical_fov_deg[key : key + 1])
+    longer = _with_rows(replace(path, is_timed=True), np.array([free]), *rows)
+    return Keyed(longer, int(np.searchsorted(longer.times_s, free)))
+
+
+def placed_key(
+    path: CameraPath,
+    key: int,
+    position: Float64[np.ndarray, "3"] | None = None,
+    quaternion_wxyz: Float64[np.ndarray, "4"] | None = None,
+    vertical_fov_deg: float | None = None,
+) -> CameraPath:
+    """Give a key another place, rotation or field of view (degrees); what is None stays."""
+    changes: dict[str, Any] = {}
+    if position is not None:
+        changes["positions"] = _with_row(path.positions, key, position)
+    if quaternion_wxyz is not None:
+        changes["quaternions_wxyz"] = _with_row(path.quaternions_wxyz, key, normalized(quaternion_wxyz))
+    if vertical_fov_deg is not None:
+        if not 0 < vertical_fov_deg < 180:
+            raise ValueError(f"a field of view of {vertical_fov_deg:g} degrees: must be above 0 and below 180")
+        changes["vertical_fov_deg"] = _with_row(path.vertical_fov_deg, key, np.array(vertical_fov_deg))
+    return replace(path, **changes)
+
+
+def stretched(path: CameraPath, factor: float) -> CameraPath:
+    """Let the flight take so many times longer; its first key stays at its moment.
+
+    Raises `ValueError` where keys would come too close to one another.
+    """
+    times = path.times_s[0] + factor * (path.times_s - path.times_s[0])
+    if not np.isfinite(factor) or np.any(np.diff(times) <= SAME_TIME_S):
+        raise ValueError(f"a path can't take {factor:g} times as long: its keys would fall together")
+    return replace(path, times_s=times, is_timed=True)
+
+
+def shifted(path: CameraPath, seconds: float) -> CameraPath:
+    """Let the flight begin so much later."""
+    return replace(path, times_s=path.times_s + seconds)
+
+
+def reversed_path(path: CameraPath) -> CameraPath:
+    """Fly the same way backwards, in the same span of time."""
+    backwards = np.arange(len(path.times_s))[::-1]
+    return _of_keys(path, backwards, path.times_s[0] + path.times_s[-1] - path.times_s[backwards])
+
+
+def _free_moment(taken: Float64[np.ndarray, " k"], time_s: float) -> float:
+    """The moment nearest to the asked one at which no key is."""
+    gap = 2 * SAME_TIME_S
+    candidates = np.concatenate([[float(time_s)], taken - gap, taken + gap])
+    fences = np.concatenate([[-np.inf], taken, [np.inf]])
+    after = np.searchsorted(fences[:-1], candidates, side="right")
+    free = candidates[np.minimum(candidates - fences[after - 1], fences[after] - candidates) > SAME_TIME_S]
+    return float(free[np.argmin(np.abs(free - time_s))])
+
+
+def _of_keys(path: CameraPath, keys: Int64[np.ndarray, " n"], times_s: Float64[np.ndarray, " n"]) -> CameraPath:
+    """Keys by their numbers, in this order, at these moments."""
+    return replace(
+        path,
+        times_s=times_s,
+        positions=path.positions[keys],
+        quaternions_wxyz=path.quaternions_wxyz[keys],
+        vertical_fov_deg=path.vertical_fov_deg[keys],
+    )
+
+
+def _with_rows(
+    path: CameraPath,
+    times: Float64[np.ndarray, " n"],
+    positions: Float64[np.ndarray, "n 3"],
+    quaternions: Float64[np.ndarray, "n 4"],
+    fov: Float64[np.ndarray, " n"],
+) -> CameraPath:
+    """Add keys to a path where their moments belong."""
+    at = np.searchsorted(path.times_s, times)
+    return replace(
+        path,
+        times_s=np.insert(path.times_s, at, times),
+        positions=np.insert(path.positions, at, positions, axis=0),
+        quaternions_wxyz=np.insert(path.quaternions_wxyz, at, quaternions, axis=0),
+        vertical_fov_deg=np.insert(path.vertical_fov_deg, at, fov),
+    )
+
+
+def _with_row(rows: np.ndarray, row: int, value: np.ndarray) -> np.ndarray:
+    changed = rows.copy()
+    changed[row] = value
+    return changed
+
+
+# § Rotation and field of view of a camera in the numbers that people set: heading, pitch, roll, focal length.
+
+_FILM_HEIGHT_MM = 24.0
+"""Of the 35 mm film that focal lengths are compared on."""
+
+_STRAIGHT_UP = 1 - 1e-12
+
+
+class LookAngles(NamedTuple):
+    """Where a camera looks, in a world with z up; degrees."""
+
+    heading_deg: float
+    """From +x to +y; -180..180."""
+    pitch_deg: float
+    """Upwards; -90..90."""
+    roll_deg: float
+    """How far the camera leans to its right: positive turns the picture's content to the left; -180..180."""
+
+
+def look_angles(camera_to_world: Float64[np.ndarray, "3 3"]) -> LookAngles:
+    """Angles of a rotation (OpenCV axes). One that looks straight up or down has no roll: it is all heading."""
+    right, down, forward = camera_to_world.T
+    pitch = np.arcsin(np.clip(forward[2], -1, 1))
+    if abs(forward[2]) > _STRAIGHT_UP:
+        return _in_degrees(np.arctan2(right[0], -right[1]), pitch, 0.0)
+    heading = np.arctan2(forward[1], forward[0])
+    level = np.array([np.sin(heading), -np.cos(heading), 0.0])
+    roll = np.arctan2(-level @ down, level @ right)
+    return _in_degrees(heading, pitch, roll)
+
+
+def look_rotation(angles: LookAngles) -> Float64[np.ndarray, "3 3"]:
+    """Rotation, camera to world (OpenCV axes), that has these angles."""
+    heading, pitch, roll = np.radians(angles)
+    forward = np.array([np.cos(pitch) * np.cos(heading), np.cos(pitch) * np.sin(heading), np.sin(pitch)])
+    level = np.array([np.sin(heading), -np.cos(heading), 0.0])
+    below = np.cross(forward, level)
+    right = np.cos(roll) * level + np.sin(roll) * below
+    return np.stack([right, np.cross(forward, right), forward], axis=1)
+
+
+def focal_length_mm(vertical_fov_deg: float) -> float:
+    """Focal length of the lens that sees as much from top to bottom on 35 mm film (a picture 24 mm high)."""
+    return float(_FILM_HEIGHT_MM / 2 / np.tan(np.radians(vertical_fov_deg) / 2))
+
+
+def fov_of_focal_length(focal_mm: float) -> float:
+    """Vertical field of view in degrees of a lens on 35 mm film."""
+    return float(np.degrees(2 * np.arctan(_FILM_HEIGHT_MM / 2 / focal_mm)))
+
+
+def _in_degrees(heading: float, pitch: float, roll: float) -> LookAngles:
+    """Without what is only rounding, which would be read as -0.0."""
+    return LookAngles(*(np.degrees([heading, pitch, roll]).round(9) + 0.0).tolist())
+
+
+# § How long and how fast a camera path is, and where no vehicle could follow it. World frame, metres.
+
+FASTEST_KM_H = 250.0
+"""Faster than cars are let go on any road."""
+
+FASTEST_TURN_DEG_S = 180.0
+"""Half a turn a second: a picture that only smears."""
+
+_SAMPLES_A_SECOND, _FEWEST, _MOST = 30, 64, 4000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathSpeed:
+    """A path's speed over its time."""
+
+    times_s: Float64[np.ndarray, " t"]
+    speeds_m_s: Float64[np.ndarray, " t"]
+    turns_deg_s: Float64[np.ndarray, " t"]
+    """How fast the camera turns its head."""
+    length_m: float
+
+    @classmethod
+    def of(cls, path: CameraPath) -> "PathSpeed":
+        """Sample a path, in the world, about thirty times a second."""
+        count = int(np.clip(_SAMPLES_A_SECOND * path.duration_s, _FEWEST, _MOST))
+        times = np.linspace(path.start_s, path.end_s, count) if path.duration_s > 0 else np.array([path.start_s])
+        inside = np.minimum(times, np.nextafter(path.end_s, -np.inf)) if path.loop else times
+        speeds = np.linalg.norm(path.velocities(inside), axis=1)
+        length = float(np.linalg.norm(np.diff(path.places(inside), axis=0), axis=1).sum())
+        return cls(times, speeds, _turn_rates(path, inside), length)
+
+    @property
+    def fastest_km_h(self) -> float:
+        return float(3.6 * self.speeds_m_s.max())
+
+    @property
+    def mean_km_h(self) -> float:
+        """Length over time; 0 for a path that takes no time."""
+        span = float(self.times_s[-1] - self.times_s[0])
+        return 3.6 * self.length_m / span if span > 0 else 0.0
+
+    @property
+    def implausible(self) -> Bool[np.ndarray, " t"]:
+        """Samples at which the camera is faster than any road vehicle, or turns too fast to see anything."""
+        return (3.6 * self.speeds_m_s > FASTEST_KM_H) | (self.turns_deg_s > FASTEST_TURN_DEG_S)
+
+    @property
+    def implausible_spans(self) -> list[tuple[float, float]]:
+        edges = np.diff(np.concatenate([[False], self.implausible, [False]]).astype(np.int8))
+        starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+        return [(float(self.times_s[a]), float(self.times_s[b])) for a, b in zip(starts, ends, strict=True)]
+
+    @property
+    def warning(self) -> str | None:
+        """What is implausible, in one sentence; None where nothing is."""
+        if self.fastest_km_h > FASTEST_KM_H:
+            return f"The camera reaches {self.fastest_km_h:,.0f} km/h: no road vehicle does."
+        if self.turns_deg_s.max() > FASTEST_TURN_DEG_S:
+            return (
+                f"The camera turns by up to {self.turns_deg_s.max():.0f} degrees a second: a picture that only smears."
+            )
+        return None
+
+
+def _turn_rates(path: CameraPath, times: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, " t"]:
+    """Degrees a second, from sample to sample."""
+    if len(times) < 2:
+        return np.zeros(len(times))
+    turns = path.turns(times)
+    traces = np.einsum("tij,tij->t", turns[:-1], turns[1:])
+    angles = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
+    # arccos of nearly 1 has no more digits than this: what lies below is rounding.
+    angles[angles < 1e-5] = 0.0
+    rates = angles / np.diff(times)
+    return np.append(rates, rates[-1])
+
+
+# § Recorded trajectories as camera paths: a few keys that fly the same way, and keys laid onto the nearest place.
+
+
+def every(path: CameraPath, seconds: float) -> CameraPath:
+    """Keep one key each so many seconds, and the first and last one."""
+    if not seconds > 0:
+        raise ValueError(f"a key every {seconds:g} s: must be above 0 s")
+    if len(path.times_s) < 2:
+        return path
+    count = max(1, round((path.times_s[-1] - path.times_s[0]) / seconds))
+    wanted = np.linspace(path.times_s[0], path.times_s[-1], count + 1)
+    after = np.clip(np.searchsorted(path.times_s, wanted), 1, len(path.times_s) - 1)
+    before = after - 1
+    nearer = wanted - path.times_s[before] < path.times_s[after] - wanted
+    return _trajectory_of_keys(path, np.unique(np.where(nearer, before, after)))
+
+
+def simplified(path: CameraPath, tolerance_m: float = 0.05, tolerance_deg: float = 0.5) -> CameraPath:
+    """Keep few keys, between which the curves pass all others within a distance (units of the path) and an angle.
+
+    Begins with the first and last key, and adds the one that is farthest off until none is too far. Few, not proven
+    to be the fewest. Not for loops.
+    """
+    times, places, turns = path.times_s, path.positions, path.turns(path.times_s)
+    kept = np.unique([0, len(times) - 1])
+    while len(kept) < len(times):
+        curve = _trajectory_of_keys(path, kept)
+        away = np.linalg.norm(curve.places(times) - places, axis=1) / tolerance_m
+        turned = _angles_deg(curve.turns(times), turns) / tolerance_deg
+        fov = np.abs(np.interp(times, times[kept], path.vertical_fov_deg[kept]) - path.vertical_fov_deg) / tolerance_deg
+        error = np.max([away, turned, fov], axis=0)
+        error[kept] = 0.0
+        worst = int(np.argmax(error))
+        if error[worst] <= 1.0:
+            break
+        kept = np.sort(np.append(kept, worst))
+    return _trajectory_of_keys(path, kept)
+
+
+def nearest_moment(path: CameraPath, place: Float64[np.ndarray, "3"]) -> float:
+    """When a trajectory comes nearest to a place, on the straight lines between its keys."""
+    if len(path.times_s) < 2:
+        return path.start_s
+    starts, along = path.positions[:-1], np.diff(path.positions, axis=0)
+    squares = np.maximum(np.einsum("ki,ki->k", along, along), 1e-30)
+    shares = np.clip(np.einsum("ki,ki->k", place - starts, along) / squares, 0, 1)
+    distances = np.linalg.norm(starts + shares[:, None] * along - place, axis=1)
+    k = int(np.argmin(distances))
+    return float(path.times_s[k] + shares[k] * (path.times_s[k + 1] - path.times_s[k]))
+
+
+def snapped_key(path: CameraPath, key: int, trajectory: CameraPath, *, turn_too: bool = True) -> CameraPath:
+    """Lay a key onto the nearest place of a trajectory in the same frame, looking as it looks there if asked."""
+    at = trajectory.camera(nearest_moment(trajectory, path.positions[key]), 2, 2)
+    quaternion = quaternions_from_matrices(at.camera_to_world[:3, :3]) if turn_too else None
+    return placed_key(path, key, at.position, quaternion)
+
+
+def _angles_deg(left: Float64[np.ndarray, "t 3 3"], right: Float64[np.ndarray, "t 3 3"]) -> Float64[np.ndarray, " t"]:
+    traces = np.einsum("tij,tij->t", left, right)
+    return np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
+
+
+def _trajectory_of_keys(path: CameraPath, keys: Int64[np.ndarray, " n"]) -> CameraPath:
+    return CameraPath(
+        path.times_s[keys],
+        path.positions[keys],
+        path.quaternions_wxyz[keys],
+        path.vertical_fov_deg[keys],
+        path.exposure_s,
+    )
+
+
+# § Speed for paths whose keys have no times: the places of photos, which say nothing about how fast anybody went.
+
+WALKING_M_S = 1.4
+"""Speed of a path without times: a person's comfortable walk (Bohannon 1997, Age and Ageing 26: 1.3 to 1.5 m/s)."""
+
+_SHORTEST_S = 0.02
+
+_TURN_DEG_S = 90.0
+"""Between photos from one place the camera turns so fast."""
+
+
+def paced(path: CameraPath, speed: float, *, is_timed: bool = False) -> CameraPath:
+    """Give the keys moments at which the camera passes them at a speed, in the path's own unit a second.
+
+    The first key stays at its moment. `is_timed` says whether these are times that somebody asked for. Raises
+    ValueError for a speed that is not above 0.
+    """
+    if not 0 < speed < np.inf:
+        raise ValueError(f"a speed of {speed:g}: must be above 0")
+    if len(path.times_s) < 2:
+        return replace(path, is_timed=is_timed)
+    steps = np.linalg.norm(np.diff(path.positions, axis=0), axis=1) / speed
+    alike = np.abs(np.einsum("ki,ki->k", path.quaternions_wxyz[:-1], path.quaternions_wxyz[1:]))
+    turning = np.degrees(2 * np.arccos(np.clip(alike, 0, 1))) / _TURN_DEG_S
+    steps = np.where(steps < _SHORTEST_S, np.maximum(turning, _SHORTEST_S), steps)
+    times = path.times_s[0] + np.concatenate([[0.0], np.cumsum(steps)])
+    return replace(path, times_s=times, is_timed=is_timed)

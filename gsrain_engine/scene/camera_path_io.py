@@ -1,0 +1,218 @@
+"""Camera paths from files: our own JSON, nerfstudio's `camera_path.json`, and the `cameras.json` of 3DGS."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from jaxtyping import Float64
+
+from .camera import Camera
+from .camera_path import CameraPath, Easing, Interpolation
+from .camera_path_edit import WALKING_M_S, key_camera, paced
+from .files import SceneFormatError, read_json, whole_file
+from .geometry import normalized, quaternions_from_matrices
+
+VERSION = 2
+"""Since 2: interpolation, easing, loop. A path that has none of them is written as version 1, for older readers."""
+
+_NUMBERS = re.compile(r"([0-9]+)")
+
+
+def read_camera_path(path: Path | str) -> CameraPath:
+    """Read a camera path, whichever of the three kinds it is; positions in the scene's own units and axes."""
+    values = read_json(path)
+    try:
+        with np.errstate(all="ignore"):  # what is too large, or divided by 0, is named by the path's own checks
+            return _reader(values, path)(values)
+    except SceneFormatError:
+        raise
+    except KeyError as error:
+        raise SceneFormatError(path, f"a keyframe has no field {error.args[0]!r}") from None
+    except (TypeError, ValueError, IndexError, AttributeError, ArithmeticError) as error:
+        raise SceneFormatError(path, f"not a camera path: {error}") from None
+
+
+def write_camera_path(path: Path | str, camera_path: CameraPath) -> None:
+    """Write a camera path as our own JSON."""
+    text = json.dumps(plain_camera_path(camera_path), indent=1) + "\n"
+    with whole_file(Path(path)) as beside:
+        beside.write_text(text, encoding="utf-8")
+
+
+def plain_camera_path(camera_path: CameraPath) -> dict[str, Any]:
+    """Plain values of a camera path, as in our own JSON."""
+    keyframes = [
+        {"time_s": t, "position": p, "quaternion_wxyz": q, "vertical_fov_deg": fov}
+        for t, p, q, fov in zip(
+            camera_path.times_s.tolist(),
+            camera_path.positions.tolist(),
+            camera_path.quaternions_wxyz.tolist(),
+            camera_path.vertical_fov_deg.tolist(),
+            strict=True,
+        )
+    ]
+    between = {"interpolation": camera_path.interpolation, "easing": camera_path.easing, "loop": camera_path.loop}
+    if between == {"interpolation": "spline", "easing": "none", "loop": False}:
+        return {"version": 1, "keyframes": keyframes}
+    return {"version": VERSION, **between, "keyframes": keyframes}
+
+
+def _reader(values: Any, path: Path | str) -> Callable[[Any], CameraPath]:
+    if isinstance(values, dict) and "camera_path" in values:  # nerfstudio's own has keyframes too
+        return _nerfstudio
+    if isinstance(values, dict) and "keyframes" in values:
+        if values.get("version", VERSION) > VERSION:
+            raise SceneFormatError(path, f"version {values['version']} is newer than {VERSION}, which this reads")
+        return camera_path_of_plain
+    if isinstance(values, list) and values:
+        return _training_cameras
+    raise SceneFormatError(path, "expected keyframes, a nerfstudio camera_path, or a 3DGS list of cameras")
+
+
+def camera_path_of_plain(values: dict[str, Any]) -> CameraPath:
+    """Camera path of plain values as in our own JSON; raises `KeyError`, `TypeError` or `ValueError` where they aren't.
+
+    Numbers are taken as they are: `read_camera_path` looks at them too.
+    """
+    keys = values["keyframes"]
+    interpolation, easing, loop = (
+        values.get("interpolation", "spline"),
+        values.get("easing", "none"),
+        values.get("loop"),
+    )
+    if interpolation not in get_args(Interpolation):
+        raise ValueError(f"interpolation {interpolation!r} must be one of {', '.join(get_args(Interpolation))}")
+    if easing not in get_args(Easing):
+        raise ValueError(f"easing {easing!r} must be one of {', '.join(get_args(Easing))}")
+    return CameraPath(
+        np.array([key["time_s"] for key in keys], np.float64),
+        np.array([key["position"] for key in keys], np.float64).reshape(-1, 3),
+        normalized(np.array([key["quaternion_wxyz"] for key in keys], np.float64).reshape(-1, 4)),
+        np.array([key["vertical_fov_deg"] for key in keys], np.float64),
+        interpolation=interpolation,
+        easing=easing,
+        loop=bool(loop),
+    )
+
+
+def _nerfstudio(values: dict[str, Any]) -> CameraPath:
+    """nerfstudio: 4x4 camera-to-world with OpenGL axes (y up, z backward), row by row; fov is vertical, degrees."""
+    keys = values["camera_path"]
+    poses = np.array([key["camera_to_world"] for key in keys], np.float64).reshape(-1, 4, 4)
+    fov = np.array([key["fov"] for key in keys], np.float64)
+    seconds = values.get("seconds")
+    times = None if seconds is None else np.linspace(0, float(seconds), len(keys)) if len(keys) > 1 else np.zeros(1)
+    return _from_poses(times, poses[:, :3, :3] @ np.diag([1.0, -1.0, -1.0]), poses[:, :3, 3], fov)
+
+
+def _training_cameras(values: list[dict[str, Any]]) -> CameraPath:
+    """3DGS: camera-to-world rotation with OpenCV axes, focal lengths in pixels; photos without times.
+
+    Where all have names of their own they are flown in the order of these, frame_2 before frame_10: the file may have
+    those for testing first.
+    """
+    if len({_in_order(key) for key in values} - {()}) == len(values):
+        values = sorted(values, key=_in_order)
+    rotations = np.array([key["rotation"] for key in values], np.float64).reshape(-1, 3, 3)
+    positions = np.array([key["position"] for key in values], np.float64).reshape(-1, 3)
+    fov = [np.degrees(2 * np.arctan(0.5 * key["height"] / key["fy"])) for key in values]
+    return _from_poses(None, rotations, positions, np.array(fov))
+
+
+def _in_order(camera: dict[str, Any]) -> tuple[tuple[bool, int, str], ...]:
+    """Return the name of a training camera with its numbers as numbers; nothing where it has none."""
+    parts = _NUMBERS.split(str(camera.get("img_name", "")))
+    return tuple((part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts if part)
+
+
+def _from_poses(
+    times: Float64[np.ndarray, " k"] | None,
+    rotations: Float64[np.ndarray, "k 3 3"],
+    positions: Float64[np.ndarray, "k 3"],
+    fov: Float64[np.ndarray, " k"],
+) -> CameraPath:
+    """Fly through poses at moments, or, without these, at walking pace, a unit taken for a metre."""
+    moments = np.arange(len(positions), dtype=np.float64) if times is None else times
+    path = CameraPath(moments, positions, normalized(quaternions_from_matrices(rotations)), fov)
+    return path if times is not None else paced(path, WALKING_M_S)
+
+
+# § Camera paths for other programs: nerfstudio's `camera_path.json` and the `cameras.json` of 3DGS, frame by frame.
+
+_TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def frame_times(camera_path: CameraPath, fps: float) -> Float64[np.ndarray, " n"]:
+    """Moments of a path's frames; of a loop, without the last one, which is the first again."""
+    count = max(1, round(camera_path.duration_s * fps) + (0 if camera_path.loop else 1))
+    return camera_path.start_s + np.arange(count) / fps
+
+
+def write_nerfstudio_path(
+    path: Path | str, camera_path: CameraPath, fps: float, width: int = 1920, height: int = 1080
+) -> None:
+    """Write a path for nerfstudio: every frame, which `ns-render camera-path` reads, and the keys for its viewer."""
+    times = frame_times(camera_path, fps)
+    keys = [key_camera(camera_path, key, width, height) for key in range(len(camera_path.times_s))]
+    gaps = np.diff(camera_path.times_s, append=camera_path.end_s).tolist()
+    values = {
+        "camera_type": "perspective",
+        "render_height": height,
+        "render_width": width,
+        "fps": fps,
+        "seconds": float(times[-1] - times[0]),
+        "is_cycle": camera_path.loop,
+        "default_fov": float(camera_path.vertical_fov_deg[0]),
+        "default_transition_sec": float(np.mean(gaps)),
+        "keyframes": [
+            {
+                "matrix": _opengl_pose(key),
+                "fov": key.vertical_fov_deg,
+                "aspect": width / height,
+                "override_transition_enabled": True,
+                "override_transition_sec": gap,
+            }
+            for key, gap in zip(keys, gaps, strict=True)
+        ],
+        "camera_path": [
+            {"camera_to_world": _opengl_pose(camera), "fov": camera.vertical_fov_deg, "aspect": width / height}
+            for camera in (camera_path.camera(t, width, height) for t in times.tolist())
+        ],
+    }
+    _write(path, values)
+
+
+def write_training_cameras(
+    path: Path | str, camera_path: CameraPath, fps: float, width: int = 1920, height: int = 1080
+) -> None:
+    """Write every frame of a path as a camera of 3DGS (its `cameras.json`), which knows no times."""
+    values: list[dict[str, Any]] = []
+    for number, t in enumerate(frame_times(camera_path, fps).tolist()):
+        camera = camera_path.camera(t, width, height)
+        pose = camera.camera_to_world
+        values.append(
+            {
+                "id": number,
+                "img_name": f"{number:05d}",
+                "width": width,
+                "height": height,
+                "position": pose[:3, 3].tolist(),
+                "rotation": pose[:3, :3].tolist(),
+                "fy": camera.fy,
+                "fx": camera.fx,
+            }
+        )
+    _write(path, values)
+
+
+def _opengl_pose(camera: Camera) -> list[float]:
+    """Camera to world, row by row, for a camera with y up and z backward."""
+    return (camera.camera_to_world @ _TO_OPENGL).ravel().tolist()
+
+
+def _write(path: Path | str, values: Any) -> None:
+    with whole_file(Path(path)) as beside:
+        beside.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,115 @@
+"""Which Gaussians of a set are meant: one bit each, as a value."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Int64, UInt32
+
+from .gaussians import scene_cache
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mask:
+    """One bit for each of `count` Gaussians: a million take 125 kB, so that a history can keep many.
+
+    Treat the array as a value: nobody writes into it once it is in here.
+    """
+
+    count: int
+    words: UInt32[np.ndarray, " w"]
+    """Gaussian n is bit n % 32, from the lowest, of word n // 32. Bits from `count` on are 0."""
+
+    def __post_init__(self) -> None:
+        if len(self.words) != _words(self.count):
+            raise ValueError(f"a mask of {self.count} Gaussians has {_words(self.count)} words, not {len(self.words)}")
+
+    @staticmethod
+    def of(flags: Bool[np.ndarray, " n"]) -> "Mask":
+        packed = np.packbits(flags, bitorder="little")
+        padded = np.zeros(4 * _words(len(flags)), np.uint8)
+        padded[: len(packed)] = packed
+        return Mask(len(flags), padded.view("<u4").astype(np.uint32, copy=False))
+
+    @staticmethod
+    def none(count: int) -> "Mask":
+        """No Gaussian of so many."""
+        return Mask(count, np.zeros(_words(count), np.uint32))
+
+    @staticmethod
+    def all(count: int) -> "Mask":
+        """Every one of so many Gaussians."""
+        return ~Mask.none(count)
+
+    @property
+    def flags(self) -> Bool[np.ndarray, " n"]:
+        packed = self.words.astype("<u4", copy=False).view(np.uint8)
+        return np.unpackbits(packed, count=self.count, bitorder="little").view(np.bool_)
+
+    @property
+    def indices(self) -> Int64[np.ndarray, " m"]:
+        """The Gaussians that are meant, rising."""
+        return np.flatnonzero(self.flags)
+
+    @property
+    def size(self) -> int:
+        """How many Gaussians are meant."""
+        return int(np.bitwise_count(self.words).sum())
+
+    def __bool__(self) -> bool:
+        return bool(self.words.any())
+
+    def __and__(self, other: "Mask") -> "Mask":
+        return Mask(self.count, self.words & other.words)
+
+    def __or__(self, other: "Mask") -> "Mask":
+        return Mask(self.count, self.words | other.words)
+
+    def __sub__(self, other: "Mask") -> "Mask":
+        return Mask(self.count, self.words & ~other.words)
+
+    def __invert__(self) -> "Mask":
+        words = ~self.words
+        if self.count % 32:
+            words[-1] &= np.uint32((1 << self.count % 32) - 1)
+        return Mask(self.count, words)
+
+    def same_as(self, other: "Mask") -> bool:
+        """Whether both mean the same Gaussians."""
+        return self.count == other.count and np.array_equal(self.words, other.words)
+
+    def take(self, indices: Int64[np.ndarray, " m"]) -> "Mask":
+        """Mask of Gaussians that were picked by index from those of this one."""
+        return Mask.of(self.flags[indices])
+
+
+@scene_cache(maxsize=256)
+def union(first: Mask, second: Mask) -> Mask:
+    """Return `first | second`, the very same value each time: renderers know arrays by their identity."""
+    return first | second
+
+
+def _words(count: int) -> int:
+    return -(-count // 32)
+
+
+# § What is marked among a member's Gaussians. Edits mark: the arrays stay, so a step of undo costs a few bits.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marks:
+    """Marks of one member; none where nothing is marked."""
+
+    selected: Mask | None = None
+    hidden: Mask | None = None
+    deleted: Mask | None = None
+    """Gone, but for undo: files never see them."""
+
+    @property
+    def left_out(self) -> Mask | None:
+        """What is not drawn; the very same value each time."""
+        if self.hidden is None or self.deleted is None:
+            return self.deleted if self.hidden is None else self.hidden
+        return union(self.hidden, self.deleted)
+
+
+UNMARKED = Marks()

@@ -1,0 +1,200 @@
+"""Decompression that never yields more than was asked for: damaged files and bombs end in one error, not in swap."""
+
+import io
+import logging
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import psutil
+import zstandard
+from jaxtyping import Float32, Integer
+
+from ..files import SceneFormatError
+from ..gaussians import Gaussians
+
+_LARGEST_EXPANSION = 200
+"""Gaussians in memory over bytes of their file. Real SPZ and SOG scenes expand 6 to 30 times, bombs 1000 and more."""
+
+_ALWAYS_ALLOWED_BYTES = 64 * 2**20
+"""What a file of any size may expand to: scenes made of equal Gaussians compress without a bound."""
+
+_LARGEST_ZSTD_WINDOW = 2**27
+"""What zstd itself allows without being asked (windowLog 27)."""
+
+
+def check_expansion(path: Path, count: int, coefficients: int, file_bytes: int) -> None:
+    """Refuse a header that asks for more memory than is free, or than its file can fill out of proportion.
+
+    `count` Gaussians have `coefficients` spherical harmonics a colour. Call it before anything of that size is made.
+    """
+    wanted = gaussian_bytes(count, coefficients)
+    if wanted > max(_ALWAYS_ALLOWED_BYTES, _LARGEST_EXPANSION * file_bytes):
+        raise SceneFormatError(
+            path,
+            f"the header speaks of {count} Gaussians ({wanted / 1e9:.1f} GB), "
+            f"which can't be in a file of {file_bytes} bytes",
+        )
+    check_room(path, count, coefficients)
+
+
+def gunzip_start(path: Path, data: bytes, size: int) -> bytes:
+    """First `size` bytes of a gzip stream, fewer where it ends before."""
+    try:
+        return zlib.decompressobj(wbits=31).decompress(data, size)
+    except zlib.error:
+        raise SceneFormatError(path, "the gzip stream is damaged") from None
+
+
+def gunzip(path: Path, data: bytes, at_most: int) -> bytes:
+    """Unpack a whole gzip stream of at most `at_most` bytes, with its checksum."""
+    stream = zlib.decompressobj(wbits=31)
+    try:
+        unpacked = stream.decompress(data, at_most + 1)
+    except zlib.error:
+        raise SceneFormatError(path, "the gzip stream is damaged") from None
+    if len(unpacked) > at_most:
+        raise SceneFormatError(path, f"the gzip stream holds more than the {at_most} bytes that the header speaks of")
+    if not stream.eof:
+        raise SceneFormatError(path, "the gzip stream ends too early: the file is cut off")
+    return unpacked
+
+
+def unzstd(path: Path, data: bytes, size: int, name: str) -> bytes:
+    """Unpack one zstd frame of exactly `size` bytes; `name` says in errors what it holds."""
+    decompressor = zstandard.ZstdDecompressor(max_window_size=_LARGEST_ZSTD_WINDOW)
+    try:
+        with decompressor.stream_reader(io.BytesIO(data)) as reader:
+            unpacked = reader.read(size + 1)
+    except zstandard.ZstdError:
+        raise SceneFormatError(path, f"the zstd stream of {name} is damaged") from None
+    if len(unpacked) != size:
+        more = "more" if len(unpacked) > size else f"only {len(unpacked)}"
+        raise SceneFormatError(path, f"the zstd stream of {name} must hold {size} bytes, it holds {more}")
+    return unpacked
+
+
+# § Whether a scene fits into memory, said before any of it is taken.
+
+logger = logging.getLogger("gsrain")
+
+DRAWING_FACTOR = 1.6
+"""Opening and drawing a scene takes at most so many times the bytes of its Gaussians."""
+
+_WORTH_SAYING_BYTES = 200e6
+
+
+def check_room(path: Path, count: int, coefficients: int) -> None:
+    """Say what so many Gaussians with so many harmonics a colour will take, and refuse what can't fit.
+
+    Raises `SceneFormatError`.
+    """
+    wanted = gaussian_bytes(count, coefficients)
+    available = psutil.virtual_memory().available
+    if DRAWING_FACTOR * wanted > available:
+        raise SceneFormatError(
+            path,
+            f"{count:,} Gaussians need {DRAWING_FACTOR * wanted / 1e9:.1f} GB of memory to be opened and drawn, "
+            f"{available / 1e9:.1f} GB are free",
+        )
+    if wanted > _WORTH_SAYING_BYTES:
+        logger.info("%s: %s Gaussians, %.1f GB", path.name, f"{count:,}", wanted / 1e9)
+
+
+def gaussian_bytes(count: int, coefficients: int) -> int:
+    """Bytes of `Gaussians`: means, scales, quaternions, opacities, harmonics, all float32."""
+    return 4 * count * (3 + 3 + 4 + 1 + 3 * coefficients)
+
+
+# § What every reader does last: refuse values that no Gaussian can have, and normalize quaternions.
+
+
+def checked_gaussians(
+    path: Path,
+    means: Float32[np.ndarray, "n 3"],
+    scales: Float32[np.ndarray, "n 3"],
+    quaternions: Float32[np.ndarray, "n 4"],
+    opacities: Float32[np.ndarray, " n"],
+    sh: Float32[np.ndarray, "n k 3"],
+) -> Gaussians:
+    """Build `Gaussians` from what a file held; the quaternions may have any length but zero.
+
+    Raises `SceneFormatError` that says what is wrong with how many Gaussians, and which is the first.
+    """
+    fields = {"mean": means, "scale": scales, "quaternion": quaternions, "opacity": opacities, "colour": sh}
+    check_finite(path, fields)
+    if scales.size and scales.min() < 0:
+        raise SceneFormatError(path, _counted(np.flatnonzero(scales.min(axis=1) < 0), len(scales), "a negative scale"))
+    with np.errstate(over="ignore"):
+        lengths = np.sqrt(np.einsum("ij,ij->i", quaternions, quaternions))
+    if len(lengths) and not lengths.min() > 1e-12:
+        raise SceneFormatError(path, _counted(np.flatnonzero(lengths <= 1e-12), len(lengths), "a zero quaternion"))
+    if len(lengths) and not lengths.max() < np.inf:
+        endless = np.flatnonzero(np.isinf(lengths))
+        raise SceneFormatError(path, _counted(endless, len(lengths), "a quaternion too long to be normalized"))
+    np.divide(quaternions, lengths[:, None], out=quaternions)
+    return Gaussians(means, scales, quaternions, opacities, sh)
+
+
+def check_finite(path: Path, fields: Mapping[str, Float32[np.ndarray, "..."]]) -> None:
+    """Refuse fields, one row a Gaussian, that hold NaN or infinity.
+
+    Raises `SceneFormatError` that says which field of how many Gaussians, and which is the first.
+    """
+    for name, values in fields.items():
+        # A sum is finite exactly where every term is, overflow of float32 aside; it is the cheap test.
+        with np.errstate(invalid="ignore"):  # infinity minus infinity
+            total = np.sum(values, dtype=np.float64)
+        if not np.isfinite(total):
+            bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+            article = "an" if name[0] in "aeiou" else "a"
+            raise SceneFormatError(path, _counted(bad, len(values), f"{article} {name} that is not a finite number"))
+
+
+def _counted(bad: "np.ndarray[tuple[int], np.dtype[np.int64]]", total: int, what: str) -> str:
+    return f"{len(bad)} of {total} Gaussians have {what}, the first is number {bad[0]}"
+
+
+# § What a single-file scene format is.
+
+
+class Format(NamedTuple):
+    """A way to keep Gaussians in one file."""
+
+    suffix: str
+    """End of the file's name, in lower case; the first row that matches counts."""
+    read: Callable[[Path], Gaussians]
+    write: Callable[[Gaussians, Path], None] | None
+    """Writes to just this path, which is beside the file's place; None where we only read."""
+    description: str
+    keeps_harmonics: bool = True
+    """Whether colours may depend on the direction that they are seen from."""
+
+
+# § Unit quaternions without their largest component, as several scene formats store them.
+
+OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+"""Components that are stored, in order, when the largest is component 0, 1, 2 or 3."""
+
+
+def with_largest(largest: Integer[np.ndarray, " n"], others: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 4"]:
+    """Put the largest component, which is never negative, back in its place (0..3) among the three others.
+
+    Where the three are together longer than 1, which only damage and rounding do, the largest becomes 0.
+    """
+    quaternions = np.empty((len(others), 4), np.float32)
+    np.put_along_axis(quaternions, OTHERS[largest], others, axis=1)
+    rest = np.sqrt(np.maximum(0, 1 - np.einsum("ij,ij->i", others, others)))
+    np.put_along_axis(quaternions, largest[:, None].astype(np.intp), rest[:, None], axis=1)
+    return quaternions
+
+
+def without_largest(
+    quaternions: Float32[np.ndarray, "n 4"],
+) -> tuple[Integer[np.ndarray, " n"], Float32[np.ndarray, "n 3"]]:
+    """Index of the largest component and the three others, with the signs that make the largest positive."""
+    largest = np.abs(quaternions).argmax(axis=1)
+    signs = np.where(np.take_along_axis(quaternions, largest[:, None], axis=1) < 0, np.float32(-1), np.float32(1))
+    return largest, np.take_along_axis(quaternions, OTHERS[largest], axis=1) * signs

@@ -1,0 +1,208 @@
+"""The table of single-file formats; a new one is one file with a reader and one row here, or an installed package."""
+
+import difflib
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ...plugins import SCENE_FORMATS, Extension, ExtensionError, extensions
+from ...safe_io.limits import kind_of_file
+from ..files import SceneFormatError, whole_file
+from ..gaussians import Gaussians
+from ._common import Format, check_finite, checked_gaussians
+from .ksplat import read_ksplat, read_splat, write_splat
+from .ply import read_ply, write_ply
+from .sog import read_sog
+from .spz import read_spz, write_spz
+
+FORMATS = (
+    Format(".compressed.ply", read_ply, None, "SuperSplat's compressed PLY: 16 bytes a Gaussian and its harmonics"),
+    Format(".ply", read_ply, write_ply, "3D Gaussian Splatting (Kerbl et al. 2023), lossless, SH degree 0 to 3"),
+    Format(".splat", read_splat, write_splat, "32 bytes a Gaussian, without view-dependent colour", False),
+    Format(".spz", read_spz, write_spz, "Niantic's compressed format, versions 1 to 4; version 3 is written"),
+    Format(".ksplat", read_ksplat, None, "GaussianSplats3D's format, SH degree 0 to 2"),
+    Format(".sog", read_sog, None, "PlayCanvas' images in a zip file"),
+    Format("meta.json", read_sog, None, "PlayCanvas' images in a folder"),
+)
+"""Our formats; see `scene_suffixes` for those of installed packages too."""
+
+
+def format_of(path: Path) -> Format | None:
+    """Row of the table that a file's name belongs to, else the format of an installed package; None where none fits.
+
+    Raises `SceneFormatError` where that package can't be used.
+    """
+    ours = next((row for row in FORMATS if path.name.lower().endswith(row.suffix)), None)
+    return ours or installed_format(path)
+
+
+def scene_suffixes() -> tuple[str, ...]:
+    """Return the ends of the names of all files that hold scenes, those of installed packages last."""
+    return (*(row.suffix for row in FORMATS), *installed_suffixes())
+
+
+def writable_suffixes() -> tuple[str, ...]:
+    """Return the ends of the names of files that can be written, those of installed packages that work last."""
+    ours = [row.suffix for row in FORMATS if row.write is not None]
+    return (*ours, *(suffix for suffix in installed_suffixes() if _is_written(suffix)))
+
+
+def unknown_format(path: Path) -> str:
+    """Return what is wrong with the name of a file of no known format, without that name."""
+    return f"no known scene format: the name must end in {_listed(scene_suffixes())}{_slip(path) or _instead(path)}"
+
+
+def read_gaussians(path: Path) -> Gaussians:
+    """Read a single file of any known format.
+
+    Raises:
+        SceneFormatError: When the name or the contents belong to no known format, or the file is damaged.
+        OSError: When there is no such file or it can't be read.
+    """
+    row = format_of(path)
+    if row is None:
+        raise SceneFormatError(path, unknown_format(path))
+    if path.exists() and not path.is_file():
+        raise SceneFormatError(path, "not a file")
+    try:
+        return row.read(path)
+    except SceneFormatError as error:
+        told = _instead(path) if error.path == path else ""
+        if not told:
+            raise
+        raise SceneFormatError(path, f"{error.problem}{told}") from None
+
+
+def write_gaussians(gaussians: Gaussians, path: Path) -> None:
+    """Write a single file of the format that its name says: whole, or not at all and what was there stays.
+
+    Raises:
+        SceneFormatError: When no format that can be written has this name, or the format can't hold the values, which
+            none can where they are not finite.
+        OSError: When the file can't be written.
+    """
+    write = check_written_format(path)
+    if path.is_dir():
+        raise SceneFormatError(path, "can't be written: a folder of that name is in the way")
+    check_writable(path, gaussians)
+    with whole_file(path) as beside:
+        try:
+            write(gaussians, beside)
+        except ValueError as error:
+            raise SceneFormatError(path, str(error)) from None
+
+
+def check_written_format(path: Path) -> Callable[[Gaussians, Path], None]:
+    """Return what writes files of such a name. Raises `SceneFormatError` where no format that is written has it."""
+    row = format_of(path)
+    if row is None or row.write is None:
+        writable = _listed(writable_suffixes())
+        reason = "can't be written" if row is None else f"{row.suffix} is read but not written"
+        raise SceneFormatError(path, f"{reason}: the name must end in {writable}{_slip(path)}")
+    return row.write
+
+
+def check_writable(path: Path, gaussians: Gaussians, of: str = "") -> None:
+    """Refuse to write what could not be read again; `of` names in errors whose Gaussians they are.
+
+    Raises `SceneFormatError` where values are NaN or infinite.
+    """
+    fields = {
+        "mean": gaussians.means,
+        "scale": gaussians.scales,
+        "quaternion": gaussians.quaternions,
+        "opacity": gaussians.opacities,
+        "colour": gaussians.sh,
+    }
+    check_finite(path, {f"{name}{of}": values for name, values in fields.items()})
+
+
+def close_match(name: str, known: Sequence[str]) -> str:
+    """Question to end an error with, where `name` looks like a slip of the hand for one that is known."""
+    close = difflib.get_close_matches(name.lower(), known, 1)
+    return f" (did you mean {close[0]}?)" if close else ""
+
+
+def _slip(path: Path) -> str:
+    """Ask for the suffix that a name which belongs to no format may have been meant to end in."""
+    return close_match(path.suffix, scene_suffixes()) if format_of(path) is None else ""
+
+
+def _instead(path: Path) -> str:
+    """End a refusal with what the file is, where its first bytes are not of the format that its name says."""
+    kind = kind_of_file(path, named_rightly=format_of(path) is not None) if path.is_file() else None
+    return "" if kind is None else f"; it is {kind}"
+
+
+def _is_written(suffix: str) -> bool:
+    try:
+        row = installed_format(Path(f"scene{suffix}"))
+    except SceneFormatError:
+        return False
+    return row is not None and row.write is not None
+
+
+def _listed(suffixes: Sequence[str]) -> str:
+    *first, last = suffixes
+    return f"{', '.join(first)} or {last}"
+
+
+# § Scene formats of other installed packages: found by the suffix, loaded when a file has it, checked like ours.
+
+
+def installed_suffixes() -> tuple[str, ...]:
+    """Return the suffixes, with their dots, that installed packages read."""
+    return tuple(f".{each.name.lower()}" for each in extensions(SCENE_FORMATS))
+
+
+def installed_format(path: Path) -> Format | None:
+    """Return the format of another package that a file's name belongs to; None where there is none.
+
+    Raises `SceneFormatError` where the package can't be used.
+    """
+    for each, suffix in zip(extensions(SCENE_FORMATS), installed_suffixes(), strict=True):
+        if path.name.lower().endswith(suffix):
+            try:
+                return _guarded(each, _checked(each, each.load(Format), suffix))
+            except ExtensionError as error:
+                raise SceneFormatError(path, str(error)) from error
+    return None
+
+
+def _checked(extension: Extension, row: Format, suffix: str) -> Format:
+    if row.suffix != suffix:
+        raise extension.unfit(f"its suffix is {row.suffix!r}, its name asks for {suffix!r}")
+    return row
+
+
+def _guarded(extension: Extension, row: Format) -> Format:
+    """Let code of others fail in one sentence, and give arrays such as our own readers give."""
+
+    def read(path: Path) -> Gaussians:
+        with _told(extension, path):
+            found = extension.expect(row.read(path), Gaussians, "reads")
+        fields = found.means, found.scales, found.quaternions, found.opacities, found.sh
+        return checked_gaussians(path, *(np.array(each, np.float32, order="C") for each in fields))
+
+    return row._replace(read=read, write=None if row.write is None else partial(_written, extension, row.write))
+
+
+def _written(extension: Extension, write: Callable[[Gaussians, Path], None], gaussians: Gaussians, path: Path) -> None:
+    with _told(extension, path):
+        write(gaussians, path)
+
+
+@contextmanager
+def _told(extension: Extension, path: Path) -> Generator[None]:
+    """Turn whatever others raise into one sentence."""
+    try:
+        yield
+    except (SceneFormatError, OSError, MemoryError):
+        raise
+    except ExtensionError as error:
+        raise SceneFormatError(path, str(error)) from error
+    except Exception as error:
+        raise SceneFormatError(path, str(extension.unfit(error))) from error

@@ -1,0 +1,499 @@
+"""What stands in `scene.json`: plain values that msgspec checks, and the way from and to `Scene`."""
+
+import base64
+import binascii
+import math
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+from jaxtyping import Float32, Float64
+from msgspec import Meta
+
+from ..camera import DEFAULT_EXPOSURE_S
+from ..camera_path import CameraPath, Easing, Interpolation
+from ..flags import UNMARKED, Marks, Mask
+from ..gaussians import Gaussians
+from ..geometry import normalized
+from ..scene import UNCHANGED, Actor, Grading, Layer, RigCamera, Scene, Track
+
+SCENE_VERSION = 4
+"""Raised when a field is added. Each field has a default that says what older files meant, so that they can be read."""
+
+Row = tuple[float, float, float, float]
+
+Matrix = tuple[Row, Row, Row, Row]
+
+Positive = Annotated[float, Meta(gt=0)]
+
+Share = Annotated[float, Meta(ge=0, le=1)]
+
+Pixels = Annotated[int, Meta(ge=1, le=16384)]
+
+WetColors = Float32[np.ndarray, "_ _ 3"] | None
+
+_IDENTITY: Matrix = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+# § Masks as they stand in `scene.json`: packed bits, deflated, in base64.
+
+
+class MarksRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`Marks` of a member, each as `text_of` writes it."""
+
+    selected: str | None = None
+    hidden: str | None = None
+    deleted: str | None = None
+
+
+class LayerRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A `Layer`; `file` and `wet_file` are relative to the scene folder."""
+
+    name: str
+    file: str
+    wet_file: str | None = None
+    kind: Literal["background", "sky"] = "background"
+    visible: bool = True
+    locked: bool = False
+    opacity: Share = 1.0
+    grading: Grading = UNCHANGED
+    marks: MarksRecord = MarksRecord()
+    to_scene: Matrix = _IDENTITY
+
+
+# § Tracks and camera paths as they stand in `scene.json`.
+
+Vector = tuple[float, float, float]
+
+Quaternion = tuple[float, float, float, float]
+
+
+class TrackRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A `Track`, one entry a sample in every list."""
+
+    times: list[float]
+    positions: list[Vector]
+    quaternions_wxyz: list[Quaternion]
+    valid: list[bool]
+
+
+class ActorRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An `Actor`; `file` and `wet_file` are relative to the scene folder."""
+
+    id: str
+    file: str
+    track: TrackRecord
+    wet_file: str | None = None
+    class_name: str = msgspec.field(default="", name="class")
+    size_lwh: Vector = (0.0, 0.0, 0.0)
+    visible: bool = True
+    locked: bool = False
+    opacity: Share = 1.0
+    grading: Grading = UNCHANGED
+    marks: MarksRecord = MarksRecord()
+
+
+class CameraRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A `RigCamera`."""
+
+    name: str
+    width: Pixels
+    height: Pixels
+    fx: Positive
+    fy: Positive
+    cx: float
+    cy: float
+    camera_to_ego: Matrix
+    exposure_s: Positive = DEFAULT_EXPOSURE_S
+
+
+# § Camera paths as they stand in `scene.json`.
+
+
+class KeyRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One keyframe; position in scene units and axes, camera axes as OpenCV's."""
+
+    time_s: float
+    position: Vector
+    quaternion_wxyz: Quaternion
+    vertical_fov_deg: Annotated[float, Meta(gt=0, lt=180)]
+
+
+class PathRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A `CameraPath`."""
+
+    keyframes: Annotated[list[KeyRecord], Meta(min_length=1)]
+    exposure_s: Annotated[float, Meta(gt=0)] = DEFAULT_EXPOSURE_S
+    interpolation: Interpolation = "spline"
+    easing: Easing = "none"
+    loop: bool = False
+    is_timed: bool = True
+
+
+class SceneRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A `Scene` without its Gaussians."""
+
+    version: Annotated[int, Meta(ge=0, le=SCENE_VERSION)]
+    name: str = ""
+    metres_per_unit: Positive = 1.0
+    unit_is_assumed: bool = False
+    up: Vector = (0.0, 0.0, 1.0)
+    ground_m: float | None = None
+    layers: list[LayerRecord] = []
+    actors: list[ActorRecord] = []
+    rigs: dict[str, list[CameraRecord]] = {}
+    ego: TrackRecord | None = None
+    path: PathRecord | None = None
+    rain: dict[str, Any] | None = None
+    weather: dict[str, Any] | None = None
+    view: dict[str, Any] | None = None
+    selections: dict[str, dict[str, str]] = {}
+    in_drawing_order: bool = False
+    """Whether the files hold their Gaussians as they are best drawn, so that they need not be sorted when opened."""
+
+    @property
+    def files(self) -> list[str]:
+        """Files of all layers, then of all actors."""
+        return [each.file for each in (*self.layers, *self.actors)]
+
+    @property
+    def wet_files(self) -> list[str | None]:
+        """Files of the wet colours of all layers, then of all actors; None for those that have none."""
+        return [each.wet_file for each in (*self.layers, *self.actors)]
+
+    @property
+    def every_file(self) -> list[str]:
+        """Files of all layers, then of all actors, then those of their wet colours."""
+        return [*self.files, *(file for file in self.wet_files if file is not None)]
+
+
+def record_of(
+    scene: Scene, files: list[str], wet_files: Sequence[str | None] | None = None, *, in_drawing_order: bool = False
+) -> SceneRecord:
+    """Plain values of a scene whose layers, then actors, are kept in these files, and their wet colours in others."""
+    names, wet_names = iter(files), iter(wet_files or [None] * len(files))
+    return SceneRecord(
+        version=SCENE_VERSION,
+        name=scene.name,
+        metres_per_unit=scene.metres_per_unit,
+        unit_is_assumed=scene.unit_is_assumed,
+        up=scene.up,
+        ground_m=scene.ground_m,
+        layers=[_layer_record(layer, next(names), next(wet_names)) for layer in scene.layers],
+        actors=[_actor_record(actor, next(names), next(wet_names)) for actor in scene.actors],
+        rigs={name: [_camera_record(camera) for camera in cameras] for name, cameras in scene.rigs.items()},
+        ego=track_record(scene.ego) if scene.ego is not None else None,
+        path=path_record(scene.path) if scene.path is not None else None,
+        rain=dict(scene.rain) if scene.rain is not None else None,
+        weather=dict(scene.weather) if scene.weather is not None else None,
+        view=dict(scene.view) if scene.view is not None else None,
+        selections=selections_record(scene.selections, {each.key: len(each.gaussians) for each in scene.members}),
+        in_drawing_order=in_drawing_order,
+    )
+
+
+@np.errstate(over="ignore", invalid="ignore")  # numbers too large to be squared are named, like other wrong ones
+def scene_of(record: SceneRecord, gaussians: list[Gaussians], wet: Sequence[WetColors] | None = None) -> Scene:
+    """Scene of a record and what its files hold, in the order of `record.files`: Gaussians, and wet colours if any.
+
+    Raises:
+        ValueError: Where numbers contradict one another; the message names the field.
+    """
+    given, wet_given = iter(gaussians), iter(wet or [None] * len(gaussians))
+    if not np.isfinite(record.up).all() or not 1e-9 < np.linalg.norm(record.up) < 1e9:
+        raise ValueError(f"`$.up` must be a direction, not {list(record.up)}")
+    layers = tuple(
+        _layer(each, next(given), next(wet_given), f"`$.layers[{i}]") for i, each in enumerate(record.layers)
+    )
+    actors = tuple(
+        _actor(each, next(given), next(wet_given), f"`$.actors[{i}]") for i, each in enumerate(record.actors)
+    )
+    counts = {each.key: len(each.gaussians) for each in (*layers, *actors)}
+    return Scene(
+        name=record.name,
+        layers=layers,
+        actors=actors,
+        metres_per_unit=record.metres_per_unit,
+        unit_is_assumed=record.unit_is_assumed,
+        up=record.up,
+        ground_m=record.ground_m,
+        rigs={name: tuple(_camera(camera, name) for camera in cameras) for name, cameras in record.rigs.items()},
+        ego=track_of(record.ego, "`$.ego`") if record.ego is not None else None,
+        path=path_of(record.path, "`$.path`") if record.path is not None else None,
+        rain=record.rain,
+        weather=record.weather,
+        view=record.view,
+        selections=selections_of(record.selections, counts),
+    )
+
+
+def places_not_finite(value: object, place: str = "$") -> Iterator[str]:
+    """Where plain values hold NaN or infinity: JSON has neither, and msgspec would write null in their place."""
+    if isinstance(value, float) and not math.isfinite(value):
+        yield place
+    elif isinstance(value, dict):
+        for name, each in value.items():
+            yield from places_not_finite(each, f"{place}.{name}")
+    elif isinstance(value, list | tuple):
+        for i, each in enumerate(value):
+            yield from places_not_finite(each, f"{place}[{i}]")
+
+
+def _layer_record(layer: Layer, file: str, wet_file: str | None) -> LayerRecord:
+    return LayerRecord(
+        name=layer.name,
+        file=file,
+        wet_file=wet_file,
+        kind=layer.kind,
+        visible=layer.visible,
+        locked=layer.locked,
+        opacity=layer.opacity,
+        grading=layer.grading,
+        marks=marks_record(layer.marks),
+        to_scene=_rows(layer.to_scene),
+    )
+
+
+def _layer(record: LayerRecord, gaussians: Gaussians, wet_sh: WetColors, where: str) -> Layer:
+    return Layer(
+        record.name,
+        gaussians,
+        record.kind,
+        _similarity(record.to_scene, f"{where}.to_scene`"),
+        visible=record.visible,
+        locked=record.locked,
+        opacity=record.opacity,
+        grading=record.grading,
+        marks=marks_of(record.marks, len(gaussians), f"{where}.marks"),
+        wet_sh=wet_sh,
+    )
+
+
+def _actor_record(actor: Actor, file: str, wet_file: str | None) -> ActorRecord:
+    return ActorRecord(
+        id=actor.id,
+        file=file,
+        wet_file=wet_file,
+        track=track_record(actor.track),
+        class_name=actor.class_name,
+        size_lwh=actor.size_lwh,
+        visible=actor.visible,
+        locked=actor.locked,
+        opacity=actor.opacity,
+        grading=actor.grading,
+        marks=marks_record(actor.marks),
+    )
+
+
+def _actor(record: ActorRecord, gaussians: Gaussians, wet_sh: WetColors, where: str) -> Actor:
+    return Actor(
+        record.id,
+        record.class_name,
+        record.size_lwh,
+        gaussians,
+        track_of(record.track, f"{where}.track`"),
+        visible=record.visible,
+        locked=record.locked,
+        opacity=record.opacity,
+        grading=record.grading,
+        marks=marks_of(record.marks, len(gaussians), f"{where}.marks"),
+        wet_sh=wet_sh,
+    )
+
+
+def _rows(matrix: Float64[np.ndarray, "4 4"]) -> Matrix:
+    a, b, c, d = (tuple(row) for row in matrix.tolist())
+    return a, b, c, d
+
+
+def _similarity(rows: Matrix, where: str) -> Float64[np.ndarray, "4 4"]:
+    matrix = np.array(rows, np.float64)
+    scale = np.cbrt(np.linalg.det(matrix[:3, :3]))
+    if not 1e-9 < scale < 1e9 or not _is_pose(matrix / [scale, scale, scale, 1.0]):
+        raise ValueError(f"the matrix must be a rotation, one scale above 0 and a place - at {where}")
+    return matrix
+
+
+def _is_pose(matrix: Float64[np.ndarray, "4 4"]) -> bool:
+    rotation = matrix[:3, :3]
+    is_rotation = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
+    return bool(is_rotation and np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-6))
+
+
+def _camera_record(camera: RigCamera) -> CameraRecord:
+    return CameraRecord(
+        name=camera.name,
+        width=camera.width,
+        height=camera.height,
+        fx=camera.fx,
+        fy=camera.fy,
+        cx=camera.cx,
+        cy=camera.cy,
+        camera_to_ego=_rows(camera.camera_to_ego),
+        exposure_s=camera.exposure_s,
+    )
+
+
+def _camera(record: CameraRecord, rig: str) -> RigCamera:
+    matrix = np.array(record.camera_to_ego, np.float64)
+    if not _is_pose(matrix):
+        raise ValueError(f"camera_to_ego of camera {record.name!r} must be a rotation and a place - at `$.rigs.{rig}`")
+    return RigCamera(
+        record.name, record.width, record.height, record.fx, record.fy, record.cx, record.cy, matrix, record.exposure_s
+    )
+
+
+def marks_record(marks: Marks) -> MarksRecord:
+    """Plain values of marks; a mask that means no Gaussian is left out."""
+    masks = {"selected": marks.selected, "hidden": marks.hidden, "deleted": marks.deleted}
+    return MarksRecord(**{name: text_of(mask) for name, mask in masks.items() if mask})
+
+
+def marks_of(record: MarksRecord, count: int, where: str) -> Marks:
+    """Marks of a member of `count` Gaussians.
+
+    Raises:
+        ValueError: When a text is no mask of so many; `where` tells in which field of the file it stands.
+    """
+    if record == MarksRecord():
+        return UNMARKED
+    masks = {
+        name: mask_of(text, count, f"{where}.{name}`")
+        for name in ("selected", "hidden", "deleted")
+        if (text := getattr(record, name)) is not None
+    }
+    return Marks(**masks)
+
+
+def text_of(mask: Mask) -> str:
+    """Write a mask: its words, little endian, as a zlib stream (RFC 1950) in base64."""
+    return base64.b64encode(zlib.compress(mask.words.astype("<u4", copy=False).tobytes(), 1)).decode()
+
+
+def mask_of(text: str, count: int, where: str) -> Mask:
+    """Read a mask of `count` Gaussians.
+
+    Raises:
+        ValueError: When the text is damaged or a mask of another count; `where` tells in which field it stands.
+    """
+    expected = 4 * -(-count // 32)
+    stream = zlib.decompressobj()
+    try:
+        # One byte more than is right tells what is too long from what fits, and keeps a lie from filling the memory.
+        data = stream.decompress(base64.b64decode(text, validate=True), expected + 1)
+    except (binascii.Error, zlib.error, ValueError) as error:
+        raise ValueError(f"no mask can be read ({error}) - at {where}") from None
+    if len(data) != expected:
+        found = f"more than {expected}" if len(data) > expected else str(len(data))
+        raise ValueError(f"a mask of {count} Gaussians takes {expected} bytes, this one has {found} - at {where}")
+    if not stream.eof:
+        raise ValueError(f"the mask is cut off - at {where}")
+    words = np.frombuffer(data, "<u4").astype(np.uint32)
+    if count % 32 and words[-1] >> np.uint32(count % 32):
+        raise ValueError(f"the mask means Gaussians beyond the {count} that there are - at {where}")
+    return Mask(count, words)
+
+
+def selections_record(
+    selections: Mapping[str, Mapping[str, Mask]], counts: Mapping[str, int]
+) -> dict[str, dict[str, str]]:
+    """Plain values of selection sets; what a set says of members that are gone or have other Gaussians is dropped."""
+    return {
+        name: {key: text_of(mask) for key, mask in masks.items() if counts.get(key) == mask.count}
+        for name, masks in selections.items()
+    }
+
+
+def selections_of(record: Mapping[str, Mapping[str, str]], counts: Mapping[str, int]) -> dict[str, dict[str, Mask]]:
+    """Selection sets of members whose numbers of Gaussians are `counts`, by their keys.
+
+    Raises:
+        ValueError: When a set names a member that is not there, or a mask does not fit.
+    """
+    sets: dict[str, dict[str, Mask]] = {}
+    for name, masks in record.items():
+        where = f"`$.selections[{name!r}]`"
+        unknown = [key for key in masks if key not in counts]
+        if unknown:
+            raise ValueError(f"there is no layer or actor {unknown[0]!r} - at {where}")
+        sets[name] = {key: mask_of(text, counts[key], where) for key, text in masks.items()}
+    return sets
+
+
+def path_record(path: CameraPath) -> PathRecord:
+    columns = (path.times_s, path.positions, path.quaternions_wxyz, path.vertical_fov_deg)
+    return PathRecord(
+        keyframes=[
+            KeyRecord(time_s=t, position=(x, y, z), quaternion_wxyz=(qw, qx, qy, qz), vertical_fov_deg=fov)
+            for t, (x, y, z), (qw, qx, qy, qz), fov in zip(*(each.tolist() for each in columns), strict=True)
+        ],
+        exposure_s=path.exposure_s,
+        interpolation=path.interpolation,
+        easing=path.easing,
+        loop=path.loop,
+        is_timed=path.is_timed,
+    )
+
+
+def path_of(record: PathRecord, where: str) -> CameraPath:
+    """Path of plain values.
+
+    Raises:
+        ValueError: Where its times do not rise or a rotation is none; `where` tells in which field it stands.
+    """
+    keys = record.keyframes
+    times = np.array([key.time_s for key in keys], np.float64)
+    if (np.diff(times) <= 0).any():
+        raise ValueError(f"times must rise - at {where}")
+    return CameraPath(
+        times,
+        np.array([key.position for key in keys], np.float64).reshape(-1, 3),
+        unit_quaternions([key.quaternion_wxyz for key in keys], where),
+        np.array([key.vertical_fov_deg for key in keys], np.float64),
+        record.exposure_s,
+        record.interpolation,
+        record.easing,
+        record.loop,
+        record.is_timed,
+    )
+
+
+def track_record(track: Track) -> TrackRecord:
+    return TrackRecord(
+        times=track.times.tolist(),
+        positions=[(float(x), float(y), float(z)) for x, y, z in track.positions],
+        quaternions_wxyz=[(float(w), float(x), float(y), float(z)) for w, x, y, z in track.quaternions_wxyz],
+        valid=track.valid.tolist(),
+    )
+
+
+def track_of(record: TrackRecord, where: str) -> Track:
+    """Track of plain values.
+
+    Raises:
+        ValueError: Where they contradict one another; `where` tells in which field of the file they stand.
+    """
+    n = len(record.times)
+    if not n == len(record.positions) == len(record.quaternions_wxyz) == len(record.valid):
+        raise ValueError(f"times, positions, quaternions_wxyz and valid must be equally long - at {where}")
+    times = np.array(record.times, np.float64)
+    positions = np.array(record.positions, np.float64).reshape(n, 3)
+    if (np.diff(times) <= 0).any():
+        raise ValueError(f"times must rise - at {where}")
+    return Track(times, positions, unit_quaternions(record.quaternions_wxyz, where), np.array(record.valid, np.bool_))
+
+
+def unit_quaternions(values: list[Quaternion], where: str) -> Float64[np.ndarray, "n 4"]:
+    """Rotations of any length but zero, as unit quaternions; what is unit already stays as it is, to the bit.
+
+    Raises:
+        ValueError: When one is 0 or not finite.
+    """
+    quaternions = np.array(values, np.float64).reshape(len(values), 4)
+    lengths = np.linalg.norm(quaternions, axis=1)
+    bad = np.flatnonzero(~((lengths > 1e-9) & (lengths < 1e9)))
+    if len(bad):
+        raise ValueError(f"quaternion {bad[0]} must be above 0 long and finite, not {lengths[bad[0]]:g} - at {where}")
+    exact = np.abs(lengths - 1) < 1e-12
+    return np.where(exact[:, None], quaternions, normalized(quaternions))

@@ -1,0 +1,178 @@
+"""Opens what a person names: a file, a folder, or the built-in street."""
+
+import hashlib
+import logging
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import platformdirs
+from jaxtyping import Int64
+
+from . import lod_order
+from .camera import Camera
+from .files import SceneFormatError
+from .flags import UNMARKED, Marks, Mask
+from .formats.scene_files import INNER_SCENE, read_scene, write_scene
+from .formats.scene_folder import SCENE_FILE, KnownFiles, is_in_drawing_order
+from .formats.sog import is_sog_folder
+from .gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
+from .lod_order import put_into_drawing_order
+from .scene import Layer, Scene, rows_of
+from .street import build
+from .street.layout import StreetParameters
+
+logger = logging.getLogger("gsrain")
+
+STREET = "street"
+
+
+def open_scene(name: Path | str | None, known: KnownFiles | None = None) -> Scene:
+    """Read a scene; none, or "street" where no scene of that name stands, is the built-in street.
+
+    `known` learns which Gaussians the files of a scene folder hold. Raises `SceneFormatError` for what can't be read.
+    """
+    return cached_street() if is_built_in(name) else read_scene(Path(str(name)), known)
+
+
+def open_to_draw(name: Path | str | None, known: KnownFiles | None = None) -> Scene:
+    """Read a scene as `open_scene` does, and bring the Gaussians of each layer into their drawing order."""
+    scene = open_scene(name, known)
+    if is_built_in(name):  # the street is kept in that order
+        return scene
+    folder = folder_to_read(Path(str(name)))
+    if folder is not None and is_in_drawing_order(folder):
+        return scene
+    if folder is not None and known is not None:
+        known.forget(folder)
+    return _put_into_order(scene)
+
+
+def scene_folder_of(path: Path) -> Path | None:
+    """The scene folder that a path names, by itself or by its `scene.json`; None for anything else."""
+    folder = path.parent if path.name == SCENE_FILE else path
+    return folder.resolve() if (folder / SCENE_FILE).is_file() else None
+
+
+def folder_to_read(path: Path) -> Path | None:
+    """The scene folder that is read for a path: the one that it names, or `scene` in what `gsrain street` has written.
+
+    None for anything else.
+    """
+    return scene_folder_of(path) or scene_folder_of(path / INNER_SCENE)
+
+
+def cached_street() -> Scene:
+    """Return the built-in street: built once, then read from the cache folder."""
+    folder = Path(platformdirs.user_cache_dir("gsrain", appauthor=False)) / f"street-{street_fingerprint()}"
+    if folder.is_dir():
+        try:
+            return read_scene(folder)
+        except SceneFormatError as error:
+            logger.warning("The cached street is damaged and is built again: %s", error)
+            shutil.rmtree(folder, ignore_errors=True)
+    scene = build.build_street()
+    scene = _put_into_order(scene)
+    try:
+        write_scene(scene, folder, in_drawing_order=True)
+    except (SceneFormatError, OSError) as error:
+        logger.warning("The street can't be kept for the next start: %s", error)
+        return scene
+    return read_scene(folder)  # so that the first run shows the very numbers of every later one
+
+
+def is_built_in(name: Path | str | None) -> bool:
+    """Whether a name means the built-in street.
+
+    A folder of that name which is no scene, such as `gsrain street street` writes, does not stand in its way.
+    """
+    return name is None or (name == STREET and not _is_scene(Path(name)))
+
+
+def _is_scene(path: Path) -> bool:
+    return path.is_file() or scene_folder_of(path) is not None or is_sog_folder(path)
+
+
+def _put_into_order(scene: Scene) -> Scene:
+    """Bring arrays that were just made into their drawing order; what is marked stays marked, wet colours go along."""
+    kept = {key for masks in scene.selections.values() for key in masks}
+    orders: dict[str, Int64[np.ndarray, " n"]] = {}
+    for member in scene.members:
+        if member.marks is UNMARKED and member.key not in kept and member.wet_sh is None:
+            put_into_drawing_order(member.gaussians)
+        else:
+            order = orders[member.key] = lod_order.drawing_order(member.gaussians).astype(np.int64)
+            marks = Marks(*(mask and mask.take(order) for mask in _masks(member.marks)))
+            gaussians, wet_sh = rows_of(member, order)
+            scene = scene.with_member(member.key, gaussians=gaussians, wet_sh=wet_sh, marks=marks)
+    selections = {
+        name: {key: mask.take(orders[key]) for key, mask in masks.items()} for name, masks in scene.selections.items()
+    }
+    return replace(scene, selections=selections)
+
+
+def _masks(marks: Marks) -> tuple[Mask | None, Mask | None, Mask | None]:
+    return marks.selected, marks.hidden, marks.deleted
+
+
+def street_fingerprint() -> str:
+    """Return a hash of the built-in street's parameters and source: another version of it is another scene."""
+    digest = hashlib.sha256(msgspec.json.encode(StreetParameters()))
+    for source in (Path(lod_order.__file__), *sorted(Path(build.__file__).parent.glob("*.py"))):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+# § Scenes of random Gaussians in any number: what renderers are timed with.
+
+_NAME = re.compile(r"random-([1-9]\d*)(k|m|)")
+
+_MOST = 20_000_000
+
+_FOV_DEG = 60.0
+
+_UP = (0.0, -1.0, 0.0)
+
+
+def is_random_scene(name: str) -> bool:
+    """Whether this names a scene that `random_scene` makes."""
+    return name.startswith("random-")
+
+
+def random_scene(name: str) -> Scene:
+    """Make "random-200k", "random-3m": so many Gaussians, of SH degree 0 in thousands and 3 in millions.
+
+    In front of an eye at the origin that looks along +z with y downwards: x within 8 m, y within 5 m, z 4 to 24 m;
+    log-normal scales with median 0.03 m, any direction, opacity 0.05 to 1. The same name is the same scene; it lies in
+    its drawing order.
+
+    Raises `SceneFormatError` for any other name.
+    """
+    match = _NAME.fullmatch(name)
+    count = int(match[1]) * {"": 1, "k": 1000, "m": 1_000_000}[match[2]] if match else 0
+    if match is None or count > _MOST:
+        raise SceneFormatError(name, "random scenes are named by their size, at most 20m: random-200k, random-3m")
+    gaussians = _random_gaussians(count, 3 if match[2] == "m" else 0)
+    put_into_drawing_order(gaussians)
+    return Scene(name, (Layer(name, gaussians),), up=_UP)
+
+
+def random_scene_camera(scene: Scene, width: int, height: int) -> Camera:
+    """Look into a random scene from its front, 60 degrees high. World frame, metres."""
+    return Camera.from_fov(width, height, _FOV_DEG, np.eye(4)).moved(scene.scene_to_world)
+
+
+def _random_gaussians(count: int, sh_degree: int) -> Gaussians:
+    r, f = np.random.default_rng(7), np.float32
+    means = np.stack([r.uniform(-8, 8, count), r.uniform(-5, 5, count), r.uniform(4, 24, count)], axis=1).astype(f)
+    scales = np.exp(r.normal(np.log(0.03), 0.5, (count, 3))).astype(f)
+    quaternions = r.normal(size=(count, 4)).astype(f)
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    opacities = r.uniform(0.05, 1, count).astype(f)
+    sh = r.standard_normal((count, COEFFICIENTS_OF_DEGREE[sh_degree], 3), f)
+    sh[:, 0] *= f(0.5)
+    sh[:, 1:] *= f(0.1)
+    return Gaussians(means, scales, quaternions, opacities, sh)

@@ -1,1 +1,0 @@
-"""Ways of a camera: keys, the curves between them, how they are edited, and the files they come from."""

@@ -1,0 +1,304 @@
+"""Coloured quadrilaterals: each is one Gaussian of the street and two triangles of its mesh."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
+
+from .layout import Label
+
+INNER_SPREAD = 0.63
+"""A Gaussian's standard deviation in cell widths, inside a surface: leaves 2 to 4 % of gaps between four cells."""
+
+EDGE_SPREAD = 0.42
+"""The same across the edge of a surface, or for one that stands alone: keeps outlines where they are."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quads:
+    """N quadrilaterals in metres, with what light needs to know about them."""
+
+    corners: Float32[np.ndarray, "n 4 3"]
+    """Counter-clockwise as seen from the front; the first edge is u, the last one backwards is v."""
+    normals: Float32[np.ndarray, "n 3"]
+    """Unit normals that light uses; for leaves those of the crown, not of the leaf."""
+    albedo: Float32[np.ndarray, "n 3"]
+    """Linear reflectance, 0 to 1."""
+    labels: UInt8[np.ndarray, " n"]
+    """Values of `Label`."""
+    sky_access: Float32[np.ndarray, " n"]
+    """Share of the sky's light that reaches the surface, before what the street as a whole takes away."""
+    sun_access: Float32[np.ndarray, " n"]
+    """Share of the sun's light that the object itself lets through."""
+    gloss: Float32[np.ndarray, " n"]
+    """How much of the mirrored surroundings is added, 0 to 1."""
+    opacity: Float32[np.ndarray, " n"]
+    """Largest alpha of the Gaussian; below 0.9 the mesh shows it half transparent (shadows on the ground)."""
+    spread: Float32[np.ndarray, "n 2"]
+    """Standard deviation in cell widths along u and v."""
+
+    def __len__(self) -> int:
+        return len(self.corners)
+
+    @property
+    def centers(self) -> Float32[np.ndarray, "n 3"]:
+        return self.corners.mean(axis=1, dtype=np.float32)
+
+    @classmethod
+    def of(
+        cls,
+        corners: Float[np.ndarray, "n 4 3"],
+        albedo: Any,
+        label: Label,
+        *,
+        normals: Float[np.ndarray, "n 3"] | None = None,
+        sky_access: Any = 1.0,
+        sun_access: Any = 1.0,
+        gloss: Any = 0.0,
+        opacity: Any = 0.999,
+        spread: Any = INNER_SPREAD,
+    ) -> "Quads":
+        """Build quads of one class; single values are spread over all of them."""
+        n = len(corners)
+        return cls(
+            np.asarray(corners, np.float32),
+            np.asarray(geometric_normals(corners) if normals is None else normals, np.float32),
+            _filled(albedo, (n, 3)),
+            np.full(n, int(label), np.uint8),
+            _filled(sky_access, (n,)),
+            _filled(sun_access, (n,)),
+            _filled(gloss, (n,)),
+            _filled(opacity, (n,)),
+            _filled(spread, (n, 2)),
+        )
+
+    def take(self, chosen: Any) -> "Quads":
+        """Pick quads by mask or index."""
+        return Quads(*(getattr(self, name)[chosen] for name in _FIELDS))
+
+    def tinted(self, factors: Any) -> "Quads":
+        """Multiply the albedo, by one colour or one factor a quad, and keep it within 0 to 0.95."""
+        tinted = self.albedo * np.asarray(factors, np.float32)
+        return replace(self, albedo=np.clip(tinted, 0, np.float32(0.95)))
+
+    def placed(self, offset: Any, turn_deg: float = 0.0) -> "Quads":
+        """Turn about z, then move."""
+        if turn_deg:
+            turned = self.turned(rotation_about_z(turn_deg))
+        else:
+            turned = self
+        return replace(turned, corners=turned.corners + np.asarray(offset, np.float32))
+
+    def turned(self, rotation: Float[np.ndarray, "3 3"]) -> "Quads":
+        """Apply a rotation to places and normals."""
+        matrix = np.asarray(rotation, np.float32)
+        return replace(self, corners=self.corners @ matrix.T, normals=self.normals @ matrix.T)
+
+    def mirrored(self) -> "Quads":
+        """The same on the other side of the xz plane: y is negated, and corners run the other way round."""
+        flip = np.array([1, -1, 1], np.float32)
+        return replace(self, corners=self.corners[:, [1, 0, 3, 2]] * flip, normals=self.normals * flip)
+
+    def repeated(self, offsets: Float[np.ndarray, "m 3"]) -> "Quads":
+        """Copies of all quads at each offset, one copy after the other."""
+        m = len(offsets)
+        columns = {name: np.tile(getattr(self, name), (m,) + (1,) * (getattr(self, name).ndim - 1)) for name in _FIELDS}
+        shifts = np.repeat(np.asarray(offsets, np.float32), len(self), axis=0)
+        columns["corners"] = columns["corners"] + shifts[:, None]
+        return Quads(**columns)
+
+    @staticmethod
+    def joined(parts: "Iterable[Quads]") -> "Quads":
+        """All quads of all parts, in order."""
+        listed = list(parts)
+        if not listed:
+            return Quads.of(np.zeros((0, 4, 3), np.float32), 0.0, Label.NOTHING)
+        return Quads(*(np.concatenate([getattr(part, name) for part in listed]) for name in _FIELDS))
+
+
+_FIELDS = ("corners", "normals", "albedo", "labels", "sky_access", "sun_access", "gloss", "opacity", "spread")
+
+
+def _filled(value: Any, shape: tuple[int, ...]) -> Any:
+    return np.full(shape, value, np.float32)
+
+
+def geometric_normals(corners: Float[np.ndarray, "n 4 3"]) -> Float[np.ndarray, "n 3"]:
+    """Unit normals from the diagonals; also right where two corners fall together."""
+    normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / np.maximum(lengths, 1e-12)
+
+
+def rotation_about_z(degrees: float) -> Float[np.ndarray, "3 3"]:
+    """Counter-clockwise as seen from above."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+# § Surfaces cut into cells: fine where a colour ends, coarse in between.
+
+GROWTH = 2.1
+"""How much wider a cell may be than its neighbour nearer to the edge."""
+
+
+def even_lines(start: float, stop: float, spacing: float) -> Float64[np.ndarray, " n"]:
+    """Grid lines of equal distance, at most `spacing`."""
+    return np.linspace(start, stop, max(1, round(np.ceil(abs(stop - start) / spacing - 1e-6))) + 1)
+
+
+def graded_lines(breaks: Sequence[float | int], edge: float, coarse: float) -> Float64[np.ndarray, " n"]:
+    """Grid lines that hit every break, `edge` apart there and up to `coarse` in the middle between breaks."""
+    parts = [np.array(breaks[:1], np.float64)]
+    for start, stop in pairwise(breaks):
+        parts.append(start + _graded(stop - start, edge, coarse)[1:])
+    return np.concatenate(parts)
+
+
+def _graded(length: float, edge: float, coarse: float) -> Float64[np.ndarray, " n"]:
+    """Lines from 0 to `length` whose distances grow from both ends towards the middle."""
+    if length <= 2.5 * edge:
+        return np.linspace(0, length, 2 if length <= 1.3 * edge else 3)
+    steps: list[float] = []
+    step, reached = edge, 0.0
+    while reached + step < 0.5 * length and step < coarse:
+        steps.append(step)
+        reached += step
+        step = min(step * GROWTH, coarse)
+    middle = max(1, round((length - 2 * reached) / step))
+    widths = np.array([*steps, *[(length - 2 * reached) / middle] * middle, *steps[::-1]])
+    return np.concatenate([[0.0], np.cumsum(widths)])
+
+
+def panel(
+    origin: Sequence[float | int],
+    u_axis: Sequence[float | int],
+    v_axis: Sequence[float | int],
+    u_lines: Float64[np.ndarray, " i"],
+    v_lines: Float64[np.ndarray, " j"],
+    albedo: Any,
+    label: Label,
+    **more: Any,
+) -> Quads:
+    """Cut a flat rectangle into cells; it faces u x v. `more` goes to `Quads.of`."""
+    u, v = np.asarray(u_axis, np.float64), np.asarray(v_axis, np.float64)
+    points = np.asarray(origin, np.float64) + u_lines[:, None, None] * u + v_lines[None, :, None] * v
+    return patch(points, albedo, label, **more)
+
+
+def patch(
+    points: Float[np.ndarray, "i j 3"],
+    albedo: Any,
+    label: Label,
+    *,
+    keep: Bool[np.ndarray, "a b"] | None = None,
+    closed: bool = False,
+    **more: Any,
+) -> Quads:
+    """Make a cell of each mesh of a grid of points; u runs along the first index. It faces u x v.
+
+    `keep` leaves cells out; `closed` says that the last row of points is the first one again (no edge there).
+    """
+    corners = np.stack([points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]], axis=2)
+    i, j = corners.shape[:2]
+    spread = np.full((i, j, 2), INNER_SPREAD)
+    if not closed:
+        spread[[0, -1], :, 0] = EDGE_SPREAD
+    spread[:, [0, -1], 1] = EDGE_SPREAD
+    quads = Quads.of(corners.reshape(-1, 4, 3), albedo, label, **{"spread": spread.reshape(-1, 2), **more})
+    return quads if keep is None else quads.take(keep.reshape(-1))
+
+
+def box(
+    center: Sequence[float | int],
+    size: Sequence[float | int],
+    albedo: Any,
+    label: Label,
+    *,
+    edge: float = 0.03,
+    coarse: float = 0.4,
+    faces: str = "xXyYZ",
+    **more: Any,
+) -> Quads:
+    """Cut the faces of an upright box into cells. `faces`: x is the face at -x, X the one at +x, and so on."""
+    half = [0.5 * float(s) for s in size]
+    low = [float(c) - h for c, h in zip(center, half, strict=True)]
+    high = [float(c) + h for c, h in zip(center, half, strict=True)]
+    x, y, z = (graded_lines([0.0, 2 * h], edge, coarse) for h in half)
+    ex, ey, ez = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    sides = {
+        "x": (low, ez, ey, z, y),
+        "X": ([high[0], low[1], low[2]], ey, ez, y, z),
+        "y": (low, ex, ez, x, z),
+        "Y": ([low[0], high[1], low[2]], ez, ex, z, x),
+        "z": (low, ey, ex, y, x),
+        "Z": ([low[0], low[1], high[2]], ex, ey, x, y),
+    }
+    return Quads.joined(panel(*sides[face], albedo, label, **more) for face in faces)
+
+
+def tube(
+    path: Float[np.ndarray, "i 3"],
+    radii: Float[np.ndarray, " i"],
+    albedo: Any,
+    label: Label,
+    *,
+    sides: int = 8,
+    **more: Any,
+) -> Quads:
+    """Make a round pole along a path, open at its ends."""
+    along = np.gradient(path, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    reference = np.where(np.abs(along[:, 2:]) > 0.9, [[1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
+    first = np.cross(reference, along)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(along, first)
+    angles = np.linspace(0, 2 * np.pi, sides + 1)[:, None, None]
+    rings = np.cos(angles) * first + np.sin(angles) * second
+    points = path[None] + radii[None, :, None] * rings
+    ends = np.zeros((sides, len(path) - 1))
+    ends[:, [0, -1]] = EDGE_SPREAD - INNER_SPREAD
+    # Few and strongly bent cells: narrow Gaussians around, or the pole would look thicker than it is.
+    spread = np.stack([np.full_like(ends, EDGE_SPREAD), INNER_SPREAD + ends], axis=2).reshape(-1, 2)
+    return patch(points, albedo, label, closed=True, **{"spread": spread, **more})
+
+
+# § Smooth random textures that depend on place and seed only.
+
+
+def lattice_noise(cells: Int64[np.ndarray, "n d"], seed: int) -> Float64[np.ndarray, " n"]:
+    """Draw a number in [0, 1) for each integer cell (a multiplicative hash, finished as in splitmix64)."""
+    primes = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+    mixed = (cells.astype(np.uint64) * primes[: cells.shape[1]]).sum(axis=1, dtype=np.uint64)
+    mixed = mixed + np.uint64(seed * 0xD6E8FEB86659FD93 % 2**64)
+    for shift in (30, 27, 31):
+        mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(0xBF58476D1CE4E5B9)
+    return (mixed >> np.uint64(11)).astype(np.float64) / 2.0**53
+
+
+def smooth_noise(points: Float[np.ndarray, "n d"], size: Any, seed: int) -> Float64[np.ndarray, " n"]:
+    """Value noise in [0, 1): random values on a lattice of the given size (one number or one an axis), blended."""
+    scaled = points.astype(np.float64) / np.asarray(size, np.float64)
+    cells = np.floor(scaled).astype(np.int64)
+    part = scaled - cells
+    weight = part * part * (3 - 2 * part)
+    total = np.zeros(len(points))
+    axes = points.shape[1]
+    for corner in range(2**axes):
+        bits = np.array([(corner >> axis) & 1 for axis in range(axes)])
+        share = np.prod(np.where(bits, weight, 1 - weight), axis=1)
+        total += share * lattice_noise(cells + bits, seed)
+    return total
+
+
+def layered_noise(
+    points: Float[np.ndarray, "n d"], size: Any, seed: int, octaves: int = 3
+) -> Float64[np.ndarray, " n"]:
+    """Sum value noise of halving size and strength, in [0, 1)."""
+    size = np.asarray(size, np.float64)
+    strengths = 0.5 ** np.arange(octaves)
+    layers = [s * smooth_noise(points, size * 0.5**k, seed + k) for k, s in enumerate(strengths)]
+    return np.sum(layers, axis=0) / strengths.sum()

@@ -1,0 +1,286 @@
+"""Trees: a trunk with branches, and a crown of leaf clusters with light between them."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from .layout import CROSSING_LENGTH_M, KERB_HEIGHT_M, Label, StreetLayout, Tree
+from .mesh import EDGE_SPREAD, Quads, box, layered_noise, patch, tube
+
+_BARK = (0.115, 0.09, 0.065)
+
+_LEAF = np.array([0.085, 0.17, 0.03])
+
+_TWIGS, _LEAVES_A_TWIG = 58, 29
+
+
+def build_trees(layout: StreetLayout, sun: Float64[np.ndarray, "3"]) -> Quads:
+    """Build every tree; `sun` points to the sun and decides which leaves lie in their own crown's shade."""
+    return Quads.joined(_tree(tree, sun) for tree in layout.trees)
+
+
+def crown_lobes(tree: Tree) -> Float64[np.ndarray, "m 4"]:
+    """Balls (x, y, z, radius) in metres that together make the crown's outline."""
+    rng = np.random.default_rng(tree.seed)
+    base, top, r = KERB_HEIGHT_M + tree.crown_base, KERB_HEIGHT_M + tree.height, tree.radius
+    middle = np.array([tree.x, tree.y, 0.5 * (base + top) - 0.1])
+    lobes = [np.array([*middle, 0.72 * r])]
+    turn = rng.uniform(0, 2 * np.pi)
+    for k in range(5):
+        angle = turn + 2 * np.pi * (k + 0.3 * rng.uniform(-1, 1)) / 5
+        away = r * rng.uniform(0.42, 0.56)
+        z = base + (top - base) * rng.uniform(0.26, 0.56)
+        x, y = tree.x + away * np.cos(angle), tree.y + away * np.sin(angle)
+        lobes.append(np.array([x, y, z, r * rng.uniform(0.46, 0.6)]))
+    for z, s in ((0.72, 0.55), (0.86, 0.4)):
+        shift = 0.22 * r * rng.uniform(-1, 1, 2)
+        lobes.append(np.array([tree.x + shift[0], tree.y + shift[1], base + (top - base) * z, r * s]))
+    return np.array(lobes)
+
+
+def _tree(tree: Tree, sun: Float64[np.ndarray, "3"]) -> Quads:
+    rng = np.random.default_rng([tree.seed, 1])
+    lobes = crown_lobes(tree)
+    return Quads.joined([_wood(tree, lobes, rng), _leaves(tree, lobes, sun, rng)])
+
+
+def _wood(tree: Tree, lobes: Float64[np.ndarray, "m 4"], rng: np.random.Generator) -> Quads:
+    foot = np.array([tree.x, tree.y, KERB_HEIGHT_M - 0.02])
+    fork = foot + np.array([rng.uniform(-0.1, 0.1), rng.uniform(-0.08, 0.08), tree.crown_base + 0.02])
+    part = np.concatenate([[0.0, 0.03, 0.08], np.linspace(0.16, 1.0, 9)])
+    bend = 0.05 * np.sin(np.pi * part)[:, None] * np.array([rng.uniform(-1, 1), rng.uniform(-1, 1), 0.0])
+    trunk = foot + part[:, None] * (fork - foot) + bend
+    radii = 0.135 * (1 - 0.32 * part) * (1 + 0.55 * np.exp(-part / 0.05))
+    parts = [tube(trunk, radii, _BARK, Label.VEGETATION, sides=8)]
+    for lobe in lobes[1:]:
+        goal = lobe[:3]
+        part = np.linspace(0, 1, 6)[:, None]
+        path = fork + part * (goal - fork) + 0.18 * np.sin(np.pi * part) * np.array([0.0, 0.0, 1.0])
+        parts.append(tube(path, np.linspace(0.075, 0.025, 6), _BARK, Label.VEGETATION, sides=5, sky_access=0.6))
+    wood = Quads.joined(parts)
+    spots = rng.uniform(0.7, 1.3, len(wood))
+    shade = np.where(wood.centers[:, 2] > fork[2], 0.25, 1.0)
+    return replace(wood.tinted(spots[:, None]), sun_access=shade.astype(np.float32))
+
+
+def _leaves(
+    tree: Tree, lobes: Float64[np.ndarray, "m 4"], sun: Float64[np.ndarray, "3"], rng: np.random.Generator
+) -> Quads:
+    """Scatter leaves around twigs near the lobes' surfaces; gaps between twigs let the sky through."""
+    shares = lobes[:, 3] ** 2 / np.sum(lobes[:, 3] ** 2)
+    of_lobe = rng.choice(len(lobes), size=_TWIGS, p=shares)
+    outward = rng.normal(size=(_TWIGS, 3)) + np.array([0, 0, 0.25])
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    reach = lobes[of_lobe, 3] * rng.uniform(0.62, 1.02, _TWIGS)
+    twigs = lobes[of_lobe, :3] + reach[:, None] * outward
+    n = _TWIGS * _LEAVES_A_TWIG
+    twig = np.repeat(np.arange(_TWIGS), _LEAVES_A_TWIG)
+    center = twigs[twig] + rng.normal(size=(n, 3)) * [0.23, 0.23, 0.17]
+    center[:, 2] = np.maximum(center[:, 2], KERB_HEIGHT_M + tree.crown_base - 0.35)
+    lobe = lobes[of_lobe[twig]]
+    crown = center - lobe[:, :3]
+    crown /= np.maximum(np.linalg.norm(crown, axis=1, keepdims=True), 1e-6)
+    normals = crown + 0.45 * rng.normal(size=(n, 3)) + [0, 0, 0.2]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    facing = normals + 0.5 * rng.normal(size=(n, 3))
+    facing /= np.linalg.norm(facing, axis=1, keepdims=True)
+    first = np.cross(facing, rng.normal(size=(n, 3)))
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(facing, first)
+    length = rng.uniform(0.075, 0.125, n)[:, None]
+    width = length * rng.uniform(0.55, 0.8, n)[:, None]
+    corners = np.stack(
+        [center - length * first, center - width * second, center + length * first, center + width * second], axis=1
+    )
+    lit = np.exp(-1.15 * _depth_inside(center, lobes, sun))
+    open_sky = np.exp(-0.8 * _depth_inside(center, lobes, np.array([0.0, 0.0, 1.0])))
+    tint = rng.uniform(0.72, 1.28, n) * np.repeat(rng.uniform(0.85, 1.15, _TWIGS), _LEAVES_A_TWIG)
+    yellow = rng.uniform(0.0, 1.0, n)[:, None] ** 2 * np.array([0.045, 0.03, 0.0])
+    # The diagonals of these quads are the leaf's axes, so cell widths are 0.71 of them.
+    return Quads.of(
+        corners, (_LEAF + yellow) * tint[:, None], Label.VEGETATION, normals=normals, sun_access=lit,
+        sky_access=0.25 + 0.75 * open_sky, opacity=0.98, spread=EDGE_SPREAD,
+    )  # fmt: skip
+
+
+def _depth_inside(
+    points: Float64[np.ndarray, "n 3"], lobes: Float64[np.ndarray, "m 4"], direction: Float64[np.ndarray, "3"]
+) -> Float64[np.ndarray, " n"]:
+    """Metres of crown between each point and the outside along a direction; overlaps count once each."""
+    away = points[:, None] - lobes[None, :, :3]
+    along = away @ direction
+    inside = along**2 - (np.sum(away**2, axis=2) - lobes[:, 3] ** 2)
+    root = np.sqrt(np.maximum(inside, 0))
+    path = np.clip(-along + root, 0, None) - np.clip(-along - root, 0, None)
+    return 0.55 * np.where(inside > 0, path, 0).sum(axis=1)
+
+
+# § Street furniture: lamps, signs, bollards, bins and benches.
+
+_IRON = (0.045, 0.055, 0.052)
+
+_STEEL = (0.24, 0.245, 0.25)
+
+_BEFORE_POLE_M = 0.05
+"""How far in front of its pole a sign hangs."""
+
+
+def build_furniture(layout: StreetLayout) -> Quads:
+    """Build everything that stands on the pavements, in the world."""
+    p = layout.parameters
+    parts = [_lamp(x, y) for x, y in layout.lamps]
+    beside = p.kerb_y_m + 0.32
+    for c in layout.crossings:
+        for side, x in ((-1, c - 0.6), (1, c + CROSSING_LENGTH_M + 0.6)):
+            parts.append(_crossing_sign(x, side * beside, side))
+        for side in (-1, 1):
+            for k in range(3):
+                parts.append(_bollard(c + 0.3 + 1.2 * k, side * (p.kerb_y_m + 0.4)))
+    rng = np.random.default_rng([p.seed, 5])
+    for x in np.arange(p.start_x_m + 14.0, p.end_x_m - 8, 27.0):
+        side = 1 if rng.random() < 0.5 else -1
+        parts.append(_bin(float(x), side * (p.kerb_y_m + 0.55)))
+    for x in np.arange(p.start_x_m + 25.0, p.end_x_m - 8, 48.0):
+        parts.append(_speed_sign(float(x), -beside))
+    return Quads.joined(parts)
+
+
+def _pole(
+    x: float, y: float, height: float, radius: float, albedo: tuple[float, float, float], sides: int = 7
+) -> Quads:
+    z = np.concatenate([[0.0, 0.06, 0.14], np.arange(0.3, height - 0.1, 0.32), [height]])
+    path = np.stack([np.full_like(z, x), np.full_like(z, y), KERB_HEIGHT_M + z], axis=1)
+    swell = 1 + 0.9 * np.exp(-((z / 0.7) ** 4)) if radius > 0.05 else np.ones_like(z)
+    return tube(path, radius * swell * (1 - 0.25 * z / height), albedo, Label.POLE, sides=sides, gloss=0.06)
+
+
+def _lamp(x: float, y: float) -> Quads:
+    """A lantern on a curved arm over the road, 6.5 m high."""
+    inward = -float(np.sign(y))
+    turn = np.linspace(0, 0.5 * np.pi, 7)
+    arm = np.stack(
+        [np.full_like(turn, x), y + inward * 1.5 * (1 - np.cos(turn)), KERB_HEIGHT_M + 5.8 + 0.75 * np.sin(turn)],
+        axis=1,
+    )
+    head_y, head_z = y + inward * 1.75, KERB_HEIGHT_M + 6.55
+    return Quads.joined(
+        [
+            _pole(x, y, 5.82, 0.075, _IRON),
+            tube(arm, np.linspace(0.05, 0.04, 7), _IRON, Label.POLE, sides=6, gloss=0.06),
+            box((x, head_y, head_z + 0.02), (0.24, 0.62, 0.1), _IRON, Label.POLE, edge=0.06, coarse=0.16),
+            box((x, head_y, head_z - 0.06), (0.18, 0.5, 0.05), (0.6, 0.6, 0.55), Label.POLE, edge=0.06, coarse=0.16,
+                faces="xXyYz"),
+        ]
+    )  # fmt: skip
+
+
+def _round_sign(x: float, y: float, z: float, size: float) -> Quads:
+    """A speed limit that faces along -x: a red ring around two digits."""
+    angle = np.linspace(0, -2 * np.pi, 25)
+    radii = 0.5 * size * np.array([0.0, 0.25, 0.5, 0.76, 0.88, 1.0])
+    across, up = radii[None] * np.sin(angle)[:, None], radii[None] * np.cos(angle)[:, None]
+    face = patch(np.stack(np.broadcast_arrays(x - _BEFORE_POLE_M, y + across, z + up), axis=2), 0.72, Label.SIGN)
+    center = face.centers - np.array([x, y, z], np.float32)
+    ring = np.hypot(center[:, 1], center[:, 2]) > 0.37 * size
+    digits = (np.abs(np.abs(center[:, 1]) - 0.13 * size) < 0.07 * size) & (np.abs(center[:, 2]) < 0.2 * size)
+    colors = np.where(ring[:, None], [0.55, 0.015, 0.02], np.where(digits[:, None], 0.03, 0.72))
+    return _with_back(replace(face, albedo=colors.astype(np.float32)))
+
+
+def _square_sign(x: float, y: float, z: float, size: float, facing: int) -> Quads:
+    """A crossing sign that faces along +x (facing 1) or -x (-1): a white triangle with a dark figure, on blue."""
+    lines = np.linspace(-0.5, 0.5, 13) * size
+    across = facing * lines[:, None]
+    points = np.stack(np.broadcast_arrays(x + facing * _BEFORE_POLE_M, y + across, z + lines[None]), axis=2)
+    face = patch(points, 0.0, Label.SIGN)
+    u, v = ((face.centers[:, 1:] - np.array([y, z], np.float32)) / size).T
+    triangle = (v > -0.34) & (np.abs(u) < 0.42 * (0.36 - v) / 0.7)
+    figure = (np.abs(u) < 0.07) & (v > -0.25) & (v < 0.1)
+    colors = np.where((triangle & ~figure)[:, None], 0.72, np.array([0.015, 0.07, 0.32]))
+    return _with_back(replace(face, albedo=colors.astype(np.float32)))
+
+
+def _with_back(face: Quads) -> Quads:
+    """Put a grey back behind a sign's face, one centimetre away."""
+    corners = face.corners[:, ::-1] - np.float32(0.01) * face.normals[:, None]
+    return Quads.joined([face, Quads.of(corners, 0.3, Label.SIGN, spread=face.spread)])
+
+
+def _crossing_sign(x: float, y: float, side: int) -> Quads:
+    return Quads.joined([_pole(x, y, 2.95, 0.033, _STEEL, 6), _square_sign(x, y, 2.75, 0.62, side)])
+
+
+def _speed_sign(x: float, y: float) -> Quads:
+    return Quads.joined([_pole(x, y, 2.75, 0.033, _STEEL, 6), _round_sign(x, y, 2.6, 0.6)])
+
+
+def _bollard(x: float, y: float) -> Quads:
+    z = np.array([0.0, 0.1, 0.3, 0.5, 0.68, 0.78, 0.86, 0.92, 0.96])
+    radii = np.array([0.085, 0.07, 0.062, 0.06, 0.06, 0.06, 0.068, 0.055, 0.005])
+    path = np.stack([np.full_like(z, x), np.full_like(z, y), KERB_HEIGHT_M + z], axis=1)
+    body = tube(path, radii, _IRON, Label.FURNITURE, sides=8, gloss=0.05)
+    band = (body.centers[:, 2] - KERB_HEIGHT_M > 0.68) & (body.centers[:, 2] - KERB_HEIGHT_M < 0.78)
+    albedo = np.where(band[:, None], 0.6, body.albedo)
+    return Quads.of(body.corners, albedo, Label.FURNITURE, spread=body.spread, gloss=0.05)
+
+
+def _bin(x: float, y: float) -> Quads:
+    z = np.array([0.05, 0.12, 0.3, 0.5, 0.7, 0.82, 0.9, 0.97, 1.0])
+    radii = np.array([0.2, 0.22, 0.23, 0.235, 0.24, 0.25, 0.25, 0.18, 0.01])
+    path = np.stack([np.full_like(z, x), np.full_like(z, y), KERB_HEIGHT_M + z], axis=1)
+    body = tube(path, radii, (0.035, 0.085, 0.05), Label.FURNITURE, sides=14, gloss=0.05)
+    towards_road = (body.centers[:, 1] - y) * np.sign(y) < 0
+    slot = towards_road & (np.abs(body.centers[:, 2] - KERB_HEIGHT_M - 0.76) < 0.06)
+    return body.tinted(np.where(slot, 0.25, 1.0)[:, None])
+
+
+# § The sky: a dome with a blue-to-pale gradient and soft clouds.
+
+RADIUS_M = 900.0
+
+SKY_SPREAD = 0.8
+"""Wider than elsewhere: neighbouring cells of sky melt into one another."""
+
+
+def build_sky(layout: StreetLayout) -> Quads:
+    """Build the dome around the middle of the street, from just below the horizon to the zenith."""
+    p = layout.parameters
+    azimuth = np.radians(np.linspace(0, 360, 209))
+    elevation = np.radians(np.concatenate([np.arange(-8, 27, 1.3), np.linspace(28, 56, 12), np.linspace(60, 90, 8)]))
+    points = RADIUS_M * np.stack(
+        np.broadcast_arrays(
+            np.cos(elevation) * np.cos(azimuth)[:, None],
+            np.cos(elevation) * np.sin(azimuth)[:, None],
+            np.sin(elevation)[None],
+        ),
+        axis=2,
+    )
+    dome = patch(points[::-1], 1.0, Label.SKY, closed=True)
+    middle = (0.5 * (p.start_x_m + p.end_x_m), 0.0, 0.0)
+    return Quads.of(dome.corners, 1.0, Label.SKY, normals=dome.normals, opacity=0.995, spread=SKY_SPREAD).placed(middle)
+
+
+def sky_display(
+    directions: Float[np.ndarray, "n 3"], sun: Float64[np.ndarray, "3"], seed: int
+) -> Float64[np.ndarray, "n 3"]:
+    """Display colour of the sky in unit directions: paler towards the horizon and the sun, with cumulus."""
+    up = np.clip(directions[:, 2], 0, 1).astype(np.float64)
+    zenith, horizon = np.array([0.24, 0.44, 0.74]), np.array([0.80, 0.87, 0.93])
+    part = (1 - up) ** 3.2
+    color = zenith + (horizon - zenith) * part[:, None]
+    glow = np.clip(directions @ sun, 0, 1) ** 6
+    color = color + 0.16 * glow[:, None] * np.array([1.0, 0.93, 0.78])
+    return _with_clouds(color, directions.astype(np.float64), up, seed)
+
+
+def _with_clouds(color: Any, directions: Any, up: Any, seed: int) -> Any:
+    """Lay clouds over the gradient: noise on a flat layer above, so that they flatten towards the horizon."""
+    flat = directions[:, :2] / (up + 0.22)[:, None]
+    billow = layered_noise(flat, 0.75, seed + 101, 5)
+    cover = np.clip((billow - 0.50) / 0.17, 0, 1)
+    cover = cover * cover * (3 - 2 * cover) * np.clip((up - 0.01) / 0.10, 0, 1)
+    body = np.clip((billow - 0.55) / 0.25, 0, 1)
+    white = np.array([0.965, 0.97, 0.975]) - body[:, None] * np.array([0.13, 0.11, 0.085])
+    return np.clip(color + (white - color) * 0.88 * cover[:, None], 0, 1)

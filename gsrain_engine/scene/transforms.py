@@ -1,0 +1,138 @@
+"""One set of Gaussians made of a whole scene, for files that know neither actors nor units."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from .gaussians import Gaussians, rotate_sh
+from .geometry import quaternion_product, quaternions_from_matrices
+from .scene import Actor, Layer, Part, Scene, graded, rotation_to_z_up
+
+FILE_UP = (0.0, -1.0, 0.0)
+"""Upward in files that can't say it: y points down, as in COLMAP and thus in 3DGS captures."""
+
+
+def moved(gaussians: Gaussians, similarity: Float64[np.ndarray, "4 4"]) -> Gaussians:
+    """Move, turn and scale Gaussians; their spherical harmonics turn with them.
+
+    `similarity` is a rotation times one scale above 0, and a translation. The identity returns the very same value.
+    """
+    if np.array_equal(similarity, np.eye(4)):
+        return gaussians
+    scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+    rotation = similarity[:3, :3] / scale
+    turn = quaternions_from_matrices(rotation)
+    means = gaussians.means.astype(np.float64) @ similarity[:3, :3].T + similarity[:3, 3]
+    quaternions = quaternion_product(np.broadcast_to(turn, gaussians.quaternions.shape), gaussians.quaternions)
+    return Gaussians(
+        means.astype(np.float32),
+        gaussians.scales * np.float32(scale),
+        quaternions.astype(np.float32),
+        gaussians.opacities,
+        rotate_sh(gaussians.sh, rotation),
+    )
+
+
+def flattened(scene: Scene, time_s: float = 0.0) -> Gaussians:
+    """All that can be seen at a time, in metres with `FILE_UP` upwards: what single-file scenes are read as.
+
+    A scene that was read from a single file comes out unchanged, and every scene looks the same from the same world
+    camera before and after it went through a single file.
+    """
+    world_to_file = np.eye(4)
+    world_to_file[:3, :3] = rotation_to_z_up(FILE_UP).T
+    return Gaussians.concatenate([moved(baked(part), world_to_file @ part.to_world) for part in scene.parts(time_s)])
+
+
+def left_out_when_flat(scene: Scene, time_s: float = 0.0) -> list[str]:
+    """Name what `flattened` leaves out of a scene, a phrase each; empty where a single file holds all of it."""
+    shown = [each for each in scene.members if each.visible]
+    layers = [each for each in scene.layers if each.visible]
+    there = [each for each in scene.actors if each.visible and each.way(time_s) is not None]
+    gone = [each for each in scene.actors if each.visible and each.way(time_s) is None]
+    hidden_members = len(scene.members) - len(shown)
+    hidden = sum(each.marks.hidden.size for each in shown if each.marks.hidden is not None)
+    keys = len(scene.weather.get("keys", ())) if scene.weather is not None else 0
+    cameras = sum(len(rig) for rig in scene.rigs.values())
+    path_keys = len(scene.path.times_s) if scene.path is not None else 0
+    found = {
+        f"the division into {len(layers)} layers": len(layers) > 1,
+        "which layer is the sky": any(each.kind == "sky" for each in layers),
+        _counted(len(there), "moving actor, who stands still", "moving actors, who stand still"): bool(there),
+        _counted(len(gone), f"actor who is not there at {time_s:g} s", f"actors not there at {time_s:g} s"): bool(gone),
+        _counted(hidden_members, "hidden layer or actor", "hidden layers and actors"): hidden_members > 0,
+        _counted(hidden, "hidden Gaussian"): hidden > 0,
+        "wet colors": scene.has_wet_colors,
+        _counted(path_keys, "camera key"): path_keys > 0,
+        "the rain": scene.rain is not None,
+        f"{_counted(keys, 'key')} of the rain over time": keys > 0,
+        _counted(cameras, "rig camera"): cameras > 0,
+        "the drive of the ego vehicle": scene.ego is not None,
+        _counted(len(scene.selections), "selection set"): bool(scene.selections),
+    }
+    return [phrase for phrase, is_there in found.items() if is_there]
+
+
+def _counted(count: int, one: str, several: str = "") -> str:
+    return f"{count:,} {one if count == 1 else several or one + 's'}"
+
+
+def baked(part: Part) -> Gaussians:
+    """Return what remains of a part, with its opacity, wetness and grading in the Gaussians themselves."""
+    gaussians = part.remaining
+    if part.is_wet and part.wet_sh is not None:
+        wet_sh = part.wet_sh if not part.left_out else part.wet_sh[(~part.left_out).indices]
+        gaussians = gaussians.with_sh(blended_sh(gaussians.sh, wet_sh, part.wetness))
+    if part.opacity != 1:
+        gaussians = replace(gaussians, opacities=gaussians.opacities * np.float32(part.opacity))
+    return gaussians if part.colors is None else gaussians.with_sh(graded(gaussians.sh, part.colors))
+
+
+# § Wet colours: harmonics of what something looks like when it is soaked, beside its clear ones, and blends of both.
+
+
+def blended_sh(
+    clear: Float32[np.ndarray, "n k 3"], wet: Float32[np.ndarray, "n k 3"], wetness: float
+) -> Float32[np.ndarray, "n k 3"]:
+    """Harmonics of colours between clear (wetness 0) and soaked (1); at both ends the very numbers of either."""
+    w = np.float32(wetness)
+    blend = clear * (np.float32(1) - w)
+    blend += w * wet
+    return blend
+
+
+def soaked_sh(member: Layer | Actor) -> Float32[np.ndarray, "n k 3"]:
+    """Harmonics of a member when it is soaked: the clear ones where it has no wet colours."""
+    return member.gaussians.sh if member.wet_sh is None else member.wet_sh
+
+
+def with_wetness_baked(scene: Scene, wetness: float) -> Scene:
+    """Return the scene as it looks at one wetness (0..1), without wet colours: for what knows one colour alone."""
+    for each in scene.members:
+        if each.wet_sh is not None:
+            gaussians = each.gaussians.with_sh(blended_sh(each.gaussians.sh, each.wet_sh, wetness))
+            scene = scene.with_member(each.key, gaussians=gaussians, wet_sh=None)
+    return scene
+
+
+def without_wet_colors(scene: Scene, key: str) -> Scene:
+    """Return the scene with a member that looks the same wet and dry. Raises `KeyError` where there is none."""
+    scene.member(key)
+    return scene.with_member(key, wet_sh=None)
+
+
+def with_wet_colors_of(scene: Scene, other: Scene) -> Scene:
+    """Return the scene with the wet colours of another version of it, and nothing else of that.
+
+    Members that the other does not know, or knows with other Gaussians or harmonics, stay as they are. Raises
+    `ValueError` where that is so of all.
+    """
+    given, changed = {each.key: each.wet_sh for each in other.members}, scene
+    for each in scene.members:
+        wet_sh = given.get(each.key)
+        if wet_sh is not None and wet_sh.shape == each.gaussians.sh.shape:
+            changed = changed.with_member(each.key, wet_sh=wet_sh)
+    if changed is scene:
+        raise ValueError("The scene has changed so much that the new wet colours fit none of its layers and actors.")
+    return changed

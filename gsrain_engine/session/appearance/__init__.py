@@ -1,1 +1,0 @@
-"""Making a scene rainy, previews of it, and training a transfer."""

@@ -1,1 +1,0 @@
-"""The person's camera path: its keys, files, and how it is drawn."""

@@ -1,1 +1,0 @@
-"""Changes of a scene, each a function from one to the next."""

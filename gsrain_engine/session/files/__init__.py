@@ -1,1 +1,0 @@
-"""Opening, saving and keeping what a person works on."""

@@ -1,1 +1,0 @@
-"""What the viewport shows, frame by frame."""

@@ -1,1 +1,0 @@
-"""The rain panels: measurements, calibrations, roofs, and the regions of rain in the view."""

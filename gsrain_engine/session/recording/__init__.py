@@ -1,1 +1,0 @@
-"""Recording the document along its path, in another process."""

@@ -1,1 +1,0 @@
-"""Which Gaussians are selected: pure functions from a scene to flags a member, and from those to another scene."""

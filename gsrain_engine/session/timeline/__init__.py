@@ -1,1 +1,0 @@
-"""Time, and what happens in it."""

@@ -1,0 +1,250 @@
+"""The agent that lives behind HTTP, in NeuroNCAP's form: UniAD and VAD as its model nodes, or a person's own."""
+
+import time
+from collections.abc import Iterator
+from typing import Any
+from urllib.parse import urlsplit
+
+import h11
+import msgspec
+import numpy as np
+from jaxtyping import Float64
+
+from ...safe_io.limits import ByteBudget, Deadline, TooLargeError, Wire
+from ...safe_io.text_files import printable
+from .base import FARTHEST_M, Needs, Observation, Plan, Rig
+from .neuroncap import neuroncap_message
+
+ALIVE_WAIT_S, ANSWER_WAIT_S = 120.0, 60.0
+"""For the server to come up, and for each answer."""
+
+_TRY_S, _PAUSE_S = 5.0, 0.5
+
+_MOST_OBJECTS = 100
+
+
+class _Objects(msgspec.Struct, frozen=True):
+    """What the stack saw, for the record: boxes x, y, length, width, yaw in the ego frame, with classes and scores."""
+
+    objects_in_bev: list[list[float]] | None = None
+    object_classes: list[str] | None = None
+    object_scores: list[float] | None = None
+
+
+class _Reply(msgspec.Struct, frozen=True):
+    trajectory: list[list[float]]
+    aux_outputs: _Objects | None = None
+
+
+class HttpAgent:
+    """Asks a server: `GET /alive` until it is there, `POST /reset` for a new drive, `POST /infer` for each plan.
+
+    Its trajectory is x forward, y left, in metres, 0.5 s apart, of the rear axle: what a plan is here. Model nodes take
+    pictures in nuScenes' own size and names: drive with the rig `nuscenes`, 1600 px wide, and steps of 0.5 s.
+    """
+
+    name = "http"
+    needs = Needs(("all",))
+
+    def __init__(self, url: str, alive_wait_s: float = ALIVE_WAIT_S, answer_wait_s: float = ANSWER_WAIT_S) -> None:
+        """Make ready to ask the server at `url` (http://HOST:PORT). Raises ValueError where that is no address."""
+        self._calls = HttpCalls(url)
+        self._alive_wait_s, self._answer_wait_s = alive_wait_s, answer_wait_s
+        self._rig: Rig | None = None
+
+    def reset(self, seed: int, rig: Rig) -> None:
+        """Begin a drive. Raises ClientError where the server does not come up or refuses."""
+        until = time.monotonic() + self._alive_wait_s
+        while True:
+            try:
+                self._calls.get("/alive", min(_TRY_S, self._alive_wait_s))
+                break
+            except ClientError as problem:
+                if time.monotonic() + _PAUSE_S > until:
+                    raise ClientError(f"nobody is there within {self._alive_wait_s:g} s: {problem}") from None
+            time.sleep(_PAUSE_S)
+        self._calls.post("/reset", b"{}", self._answer_wait_s)
+        self._rig = rig
+
+    def plan(self, observation: Observation) -> Plan:
+        """Return what the server plans. Raises ClientError where it does not answer, or with what is no plan."""
+        if self._rig is None:
+            raise ClientError("there is no drive: reset the agent first")
+        data = self._calls.post("/infer", neuroncap_message(observation, self._rig), self._answer_wait_s)
+        return read_plan(data, self._calls.url)
+
+    def close(self) -> None:
+        """Nothing is held: the server waits for its next `/reset`."""
+
+
+def read_plan(data: bytes, url: str) -> Plan:
+    """Read what the server at `url` answers to `/infer`. Raises ClientError where it is no plan."""
+    try:
+        reply = msgspec.json.decode(data, type=_Reply)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as problem:
+        raise ClientError(f"{url}/infer answers what is no plan: {printable(problem)}") from None
+    return Plan(plan_points(reply.trajectory, url), _notes(reply.aux_outputs))
+
+
+def _notes(seen: _Objects | None) -> dict[str, Any]:
+    """What the stack saw, as plain values; nothing where it does not say."""
+    if seen is None or not seen.objects_in_bev:
+        return {}
+    return {
+        "objects_in_bev": seen.objects_in_bev[:_MOST_OBJECTS],
+        "object_classes": (seen.object_classes or [])[:_MOST_OBJECTS],
+        "object_scores": (seen.object_scores or [])[:_MOST_OBJECTS],
+    }
+
+
+# § Calls to one server: JSON there and back, with one end to how long it may take and how much may come in all.
+
+_MAX_BYTES = 8 << 20
+"""Of all that a server sends: its answer, and whatever comes before and around it."""
+
+_PORTS = {"http": 80, "https": 443}
+
+_OK = 200
+
+_FAILURE_CHARACTERS = 200
+
+
+class HttpCalls:
+    """Knows where a server is. A connection a call; no redirects are followed, no proxies asked."""
+
+    def __init__(self, url: str) -> None:
+        """Take the address apart. Raises ValueError where it is none."""
+        try:
+            parts = urlsplit(url)
+            host, port = parts.hostname, parts.port
+        except ValueError as problem:
+            raise ValueError(f"url {printable(url)}: {problem}") from None
+        is_plain = url.isascii() and url.isprintable() and " " not in url
+        if parts.scheme not in _PORTS or not host or parts.query or parts.fragment or not is_plain:
+            raise ValueError(f"url {printable(url)}: expected http://HOST:PORT")
+        self.url = url.rstrip("/")
+        self._secure, self._path = parts.scheme == "https", parts.path.rstrip("/")
+        self._host, self._port = host, port or _PORTS[parts.scheme]
+        self._named = parts.netloc.rpartition("@")[2]
+
+    def get(self, path: str, within_s: float) -> bytes:
+        """Ask for something; returns the body of a reply with status 200."""
+        return self._call("GET", path, None, within_s)
+
+    def post(self, path: str, body: bytes, within_s: float) -> bytes:
+        """Send JSON; returns the body of a reply with status 200.
+
+        Raises ClientError where nobody answers, too late, too much, less than announced, or with another status.
+        """
+        return self._call("POST", path, body, within_s)
+
+    def _call(self, method: str, path: str, body: bytes | None, within_s: float) -> bytes:
+        where = f"{self.url}{path}"
+        try:
+            reply, data = self._exchange(method, path, body, Deadline(within_s))
+        except TimeoutError:
+            raise ClientError(f"{where} has not answered within {within_s:g} s") from None
+        except TooLargeError:
+            raise ClientError(f"{where} answers more than {_MAX_BYTES >> 20} MiB") from None
+        except OSError as problem:
+            raise ClientError(f"{where} can't be reached: {problem.strerror or problem}") from None
+        except h11.RemoteProtocolError as problem:
+            raise ClientError(f"{where} answers what is no whole HTTP: {printable(problem)}") from None
+        if reply.status_code != _OK:
+            words = printable(data.decode(errors="replace"), _FAILURE_CHARACTERS)
+            reason = printable(reply.reason.decode("latin-1"), _FAILURE_CHARACTERS)
+            raise ClientError(f"{where} answers {reply.status_code} {reason}: {words}")
+        return data
+
+    def _exchange(self, method: str, path: str, body: bytes | None, deadline: Deadline) -> tuple[h11.Response, bytes]:
+        """Send a request and take in the whole reply."""
+        http = h11.Connection(h11.CLIENT)
+        headers = [("Host", self._named), ("Accept-Encoding", "identity"), ("Connection", "close")]
+        if body is not None:
+            headers += [("Content-Type", "application/json"), ("Content-Length", str(len(body)))]
+        asked = [http.send(h11.Request(method=method, target=self._path + path, headers=headers))]
+        asked += [http.send(h11.Data(data=body))] if body else []
+        asked += [http.send(h11.EndOfMessage())]
+        wire = Wire(self._host, self._port, deadline, ByteBudget(_MAX_BYTES, self.url), is_secure=self._secure)
+        try:
+            for part in asked:
+                wire.send(part or b"")
+            reply, data = None, bytearray()
+            for event in _events(http, wire, deadline):
+                if isinstance(event, h11.Response):
+                    reply = event
+                    _check_length(reply, self.url)
+                elif isinstance(event, h11.Data):
+                    data += event.data
+        finally:
+            wire.close()
+        assert reply is not None, "a message ends after it has begun"
+        return reply, bytes(data)
+
+
+def _events(http: h11.Connection, wire: Wire, deadline: Deadline) -> Iterator[h11.Event]:
+    """Yield what comes, up to the end of the message; each piece, however small, is under the deadline."""
+    while True:
+        deadline.check()
+        event = http.next_event()
+        if event is h11.NEED_DATA:
+            data = wire.receive()
+            if not data and http.their_state is h11.SEND_RESPONSE:
+                raise h11.RemoteProtocolError("it hangs up before it has answered")
+            http.receive_data(data)
+        elif isinstance(event, h11.EndOfMessage):
+            return
+        elif isinstance(event, h11.Event):
+            yield event
+        else:
+            raise h11.RemoteProtocolError("it goes over to another protocol")
+
+
+def _check_length(reply: h11.Response, name: str) -> None:
+    """Refuse at once what is announced as more than may come. Raises `TooLargeError`."""
+    for header, value in reply.headers:
+        if header == b"content-length":
+            ByteBudget(_MAX_BYTES, name).spend(int(value))
+
+
+# § What went wrong with an agent that lives in another program.
+
+
+class ClientError(ValueError):
+    """The other program is gone, silent, or answers what is no plan: the drive can't go on."""
+
+
+# § What other programs answer as a plan, checked before anything is steered by it.
+
+_MOST_POINTS = 1000
+
+
+def plan_points(value: Any, who: str) -> Float64[np.ndarray, "n 2"]:
+    """Return a plan: an array (N, 2) of any numbers, or a list of pairs, finite and near.
+
+    Raises ClientError, with what `who` has sent instead.
+    """
+    if isinstance(value, list):
+        rows: list[Any] = value
+        if not all(_is_pair(row) for row in rows):
+            raise ClientError(f"{who} sent a plan that is a list, but not of pairs of numbers")
+        value = np.array([[float(each) for each in row] for row in rows], np.float64).reshape(-1, 2)
+    if not isinstance(value, np.ndarray):
+        raise ClientError(f"{who} sent a {type(value).__name__} for a plan, not an array of points (N, 2)")
+    points = np.asarray(value, np.float64)
+    if points.ndim != 2 or points.shape[1] != 2 or not 1 <= len(points) <= _MOST_POINTS:
+        raise ClientError(f"{who} sent a plan of shape {points.shape}, not (N, 2) with N from 1 to {_MOST_POINTS}")
+    if not np.isfinite(points).all():
+        raise ClientError(f"{who} sent a plan with points that are not finite")
+    if np.abs(points).max() > FARTHEST_M:
+        raise ClientError(f"{who} sent a plan with points farther than {FARTHEST_M / 1000:g} km")
+    return points
+
+
+def _is_pair(row: Any) -> bool:
+    if isinstance(row, np.ndarray):
+        return row.shape == (2,)
+    if not isinstance(row, list):
+        return False
+    pair: list[Any] = row
+    return len(pair) == 2 and all(isinstance(each, int | float) and abs(each) < 1e300 for each in pair)

@@ -1,0 +1,217 @@
+"""Which agents there are: the shipped ones and those of installed packages, by name."""
+
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from ...evaluation.detection.detector import find_detector
+from ...plugins import AGENTS, Extension, extension, extensions
+from ...trusted_code import Code, check_trusted, read_code, run_main
+from .base import Agent, ConstantVelocityAgent
+from .http import HttpAgent
+from .idm import OracleIDMAgent
+from .neuroncap import NeuroNCAPBaselineAgent
+
+
+@dataclass(frozen=True, slots=True)
+class AgentOptions:
+    """What a person may give an agent."""
+
+    detector: Path | None = None
+    """ONNX file of a detector."""
+    description: str | None = None
+    """How the detector is used: a shipped name or a YAML file."""
+    url: str | None = None
+    """Where an agent listens that runs elsewhere."""
+
+
+def _camera_idm(options: AgentOptions) -> Agent:
+    # onnxruntime is heavy, and an extra: only where somebody sees.
+    from ...evaluation.detection.detector import open_detector
+    from .idm import CameraIDMAgent
+
+    try:
+        return CameraIDMAgent(open_detector(options.detector or find_detector(), options.description))
+    except (FileNotFoundError, ModuleNotFoundError) as error:
+        raise ValueError(f"agent camera-idm: {error}") from None
+
+
+def _http(options: AgentOptions) -> Agent:
+    if options.url is None:
+        raise ValueError("agent http: say where it listens (--url http://HOST:PORT)")
+    return HttpAgent(options.url)
+
+
+_SHIPPED: dict[str, Callable[[AgentOptions], Agent]] = {
+    "constant-velocity": lambda options: ConstantVelocityAgent(),
+    "oracle-idm": lambda options: OracleIDMAgent(),
+    "camera-idm": _camera_idm,
+    "neuroncap-baseline": lambda options: NeuroNCAPBaselineAgent(),
+    "http": _http,
+}
+
+
+def agent_names() -> list[str]:
+    """Names of all agents, the shipped ones first."""
+    return [*_SHIPPED, *(each.name for each in extensions(AGENTS) if each.name not in _SHIPPED)]
+
+
+def open_agent(name: str, options: AgentOptions | None = None, *, trusted_only: bool = False) -> Agent:
+    """Make an agent ready: one of `agent_names`, or the one in a file of one's own (`my_driver.py`).
+
+    With `trusted_only`, for names that come out of files, a Python file runs only if a person has allowed its content.
+
+    Raises ValueError for an unknown name, where what it needs is missing, and where an installed one fails.
+    """
+    options = options or AgentOptions()
+    if agent_file(name) is not None:
+        return agent_in_file(name, options, trusted_only=trusted_only)
+    if name in _SHIPPED:
+        return _SHIPPED[name](options)
+    if (installed := extension(AGENTS, name)) is not None:
+        return _installed(installed, options)
+    raise ValueError(f"agent {name}: there is none of that name, only {', '.join(agent_names())}")
+
+
+def default_agent(options: AgentOptions) -> tuple[str, str | None]:
+    """Return who drives where nobody is named: camera-idm; or oracle-idm, with a sentence that says why no camera can.
+
+    A detector that is there but can't be opened is no reason: opening the agent says what is wrong with it.
+    """
+    if options.detector is not None:
+        return "camera-idm", None
+    if importlib.util.find_spec("onnxruntime") is None:
+        return "oracle-idm", f"{_INSTEAD}: onnxruntime is not installed (pip install 'gsrain[drive]')"
+    try:
+        find_detector()
+    except FileNotFoundError as error:
+        return "oracle-idm", f"{_INSTEAD}: {error}"
+    return "camera-idm", None
+
+
+_INSTEAD = "oracle-idm drives instead of camera-idm"
+
+
+def _installed(extension: Extension, options: AgentOptions) -> Agent:
+    """Make an agent of another package; whatever fails in there, the sentence names the package."""
+    maker = extension.load_callable()
+    try:
+        agent = maker(options)
+    except Exception as error:  # it is code of others: its words are the reason
+        raise extension.unfit(error) from error
+    if not isinstance(agent, Agent):
+        raise extension.unfit(
+            f"makes a {type(agent).__name__}, which has not the properties and methods of an agent: name, needs, "
+            "reset, plan, close"
+        )
+    return agent
+
+
+# § An agent from a Python file of one's own: `my_driver.py`, or `my_driver.py:NAME` for one of several in it.
+
+_SUFFIX = ".py"
+
+_METHODS = ("reset", "plan", "close")
+
+
+def agent_file(name: str) -> Path | None:
+    """Return the file that an agent's name means; None where it is the name of a known one."""
+    place = name.rpartition(":")[0] if ":" in name and not name.endswith(_SUFFIX) else name
+    return Path(place) if place.endswith(_SUFFIX) else None
+
+
+def agent_code(name: str) -> Code | None:
+    """Read the file that an agent's name means, with what it imports near it; None where it is the name of a known one.
+
+    Raises ValueError where there is no such file.
+    """
+    path = agent_file(name)
+    if path is None:
+        return None
+    if not path.is_file():
+        raise ValueError(f"agent {name}: no such file")
+    return read_code(path)
+
+
+def agent_in_file(name: str, options: Any, *, trusted_only: bool = False) -> Agent:
+    """Run a person's file and make the agent in it.
+
+    `FILE.py` has one class with the methods of an agent; `FILE.py:NAME` names a class, or a function that returns an
+    agent. `options` (`AgentOptions`) are given to what takes an argument. With `trusted_only`, for names out of files,
+    nothing runs that no person has allowed. Raises ValueError in one sentence.
+    """
+    path = agent_file(name)
+    assert path is not None
+    wanted = name[len(str(path)) + 1 :] if not name.endswith(_SUFFIX) else ""
+    module = _module(path, name, trusted_only)
+    maker = _named(module, name, wanted) if wanted else _only_class(module, name)
+    try:
+        agent = maker(options) if _takes_one(maker) else maker()
+    except Exception as error:  # it is code of others: its words are the reason
+        raise ValueError(f"agent {name}: {error or type(error).__name__}") from error
+    if not isinstance(agent, Agent):
+        raise ValueError(f"agent {name}: {_missing(agent)}")
+    return agent
+
+
+def _module(path: Path, name: str, trusted_only: bool) -> ModuleType:
+    code = agent_code(name)
+    assert code is not None
+    folder = str(path.absolute().parent)
+    if trusted_only:
+        check_trusted(f"agent {name}", [code])
+    elif folder not in sys.path:
+        sys.path.insert(0, folder)  # whatever is near it can be imported, as when Python runs it
+    try:
+        return run_main(code, f"gsrain_agent_{path.stem}")
+    except Exception as error:
+        raise ValueError(f"agent {name}: {_where(error, path)}{error or type(error).__name__}") from error
+
+
+def _where(error: BaseException, path: Path) -> str:
+    """Return the last line of the person's own file that an error passed, as "line 12: "."""
+    line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else None
+    trace = error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == str(path.absolute()):
+            line = trace.tb_lineno
+        trace = trace.tb_next
+    return "" if line is None else f"line {line}: "
+
+
+def _only_class(module: ModuleType, name: str) -> Any:
+    own = [each for each in vars(module).values() if inspect.isclass(each) and each.__module__ == module.__name__]
+    found = [each for each in own if all(callable(getattr(each, method, None)) for method in _METHODS)]
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        raise ValueError(f"agent {name}: has no class with the methods {', '.join(_METHODS)}")
+    names = ", ".join(each.__name__ for each in found)
+    raise ValueError(f"agent {name}: has several agents: say which as {name}:NAME, one of {names}")
+
+
+def _named(module: ModuleType, name: str, wanted: str) -> Any:
+    maker = getattr(module, wanted, None)
+    if not callable(maker):
+        raise ValueError(f"agent {name}: has no class or function {wanted}")
+    return maker
+
+
+def _takes_one(maker: Any) -> bool:
+    """Whether something must be given to a class or function, or may be as its first argument without a name."""
+    try:
+        parameters = inspect.signature(maker).parameters.values()
+    except (TypeError, ValueError):
+        return False
+    return any(each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD) for each in parameters)
+
+
+def _missing(agent: object) -> str:
+    absent = [each for each in ("name", "needs", *_METHODS) if not hasattr(agent, each)]
+    kind = type(agent).__name__
+    return f"is a {kind}, which has no {', '.join(absent)}: an agent has name, needs, reset, plan, close"

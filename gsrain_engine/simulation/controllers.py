@@ -1,0 +1,337 @@
+"""The controllers that a scenario may name."""
+
+from collections.abc import Callable
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float64
+
+from .controller_base import Controller, ControllerSettings, PurePursuit, reachable, tracked_states
+from .geometry import wrapped
+from .vehicle import Control, Vehicle, VehicleState
+
+# § The iLQR tracker: finds the inputs that keep a bicycle nearest to a plan, by repeated linear-quadratic regulation.
+
+
+class ILQRTracker:
+    """nuPlan's tracker (Karnchanachari et al. 2024; iLQR: Li and Todorov 2004), which HUGSIM steers with.
+
+    It minimizes squared errors of place and heading (10 times) at the plan's points, and squared accelerations and
+    steering rates (10 times), over the bicycle in steps of the plan's spacing; deviations from the iterate before are
+    penalized as a trust region. Only the first input is used. The search ends by its own convergence or after a count
+    of iterations: nuPlan's limit of 50 ms by the clock would make results depend on the machine.
+
+    With the heading reference "hugsim" all else is as published. With "tangent" two things are mended. The steps are
+    taken by the midpoint: Euler's, half a second long, drive a circle of 20 m at 5 m/s 0.65 m too far inside. And a
+    plan that stops sooner than the vehicle can is braked for along its own line: the published tracker comes nearer to
+    points that it has passed by steering away as far as it can.
+    """
+
+    def __init__(self, settings: ControllerSettings) -> None:
+        """Take limits, iterations and the heading that is wanted from a scenario's settings."""
+        self._settings = settings
+
+    def reset(self) -> None:
+        """Forget nothing: each search starts from its plan."""
+
+    def control(
+        self, vehicle: Vehicle, state: VehicleState, plan: Float64[np.ndarray, "n 2"], spacing_s: float
+    ) -> Control:
+        if self._settings.heading_reference == "hugsim":
+            return _first(self.inputs(vehicle, state, plan, spacing_s))
+        braking = float(self._limits(vehicle)[0])
+        points, full_braking = reachable(plan, state.speed_m_s, braking, spacing_s)
+        control = _first(self.inputs(vehicle, state, points, spacing_s))
+        return Control(-braking, control.steer_rate_rad_s) if full_braking else control
+
+    def inputs(
+        self, vehicle: Vehicle, state: VehicleState, plan: Float64[np.ndarray, "n 2"], spacing_s: float
+    ) -> Float64[np.ndarray, "n 2"]:
+        """Return accelerations (m/s2) and steering rates (rad/s, left positive) over the plan's whole horizon."""
+        wanted = tracked_states(plan, self._settings.heading_reference)
+        limits, at = self._limits(vehicle), 0.0 if self._settings.heading_reference == "hugsim" else 0.5
+        steer = float(np.clip(state.steer_rad, -limits[3], limits[3]))
+        start = np.array([0.0, 0.0, 0.0, state.speed_m_s, steer])
+        inputs = first_inputs(wanted, state.speed_m_s, steer, vehicle.wheelbase_m, spacing_s)
+        states = np.empty((len(wanted), STATES))
+        better, offsets = np.empty_like(inputs), np.empty_like(inputs)
+        gains = np.empty((len(inputs), INPUTS, STATES))
+        rolled_out(start, inputs, spacing_s, at, vehicle.wheelbase_m, limits, states)
+        for _ in range(self._settings.iterations):
+            policy(states, inputs, wanted, spacing_s, at, vehicle.wheelbase_m, _WEIGHTS, gains, offsets)
+            improved(states, inputs, spacing_s, at, vehicle.wheelbase_m, limits, gains, offsets, better)
+            change = float(np.sqrt(np.sum((better - inputs) ** 2)))
+            inputs, better = better, inputs
+            rolled_out(start, inputs, spacing_s, at, vehicle.wheelbase_m, limits, states)
+            if change < _TOLERANCE:
+                break
+        return inputs
+
+    def _limits(self, vehicle: Vehicle) -> Float64[np.ndarray, "4"]:
+        settings = self._settings
+        return np.array([
+            min(settings.most_braking_m_s2, vehicle.most_braking_m_s2),
+            min(settings.most_acceleration_m_s2, vehicle.most_acceleration_m_s2),
+            vehicle.most_steer_rate_rad_s,
+            vehicle.most_steer_rad,
+        ])  # fmt: skip
+
+
+_CONTROLLERS: dict[str, Callable[[ControllerSettings], Controller]] = {
+    "ilqr": ILQRTracker,
+    "pure-pursuit": lambda settings: PurePursuit(),
+}
+
+
+def open_controller(settings: ControllerSettings) -> Controller:
+    return _CONTROLLERS[settings.kind](settings)
+
+
+# § The inner loops of the iLQR tracker: how the bicycle moves in its time grid, and the step back through the
+# horizon.
+#
+# States are x, y, heading, speed, steering angle of the front wheels; inputs are acceleration and steering rate.
+# Small
+# matrices are multiplied by plain loops, so that results don't depend on which BLAS is installed. `at` is the part of
+# a
+# step at which speed, steering and heading are taken: 0 is Euler's rule (nuPlan's), which cuts corners, 0.5 the
+# midpoint.
+
+STATES, INPUTS = 5, 2
+
+_WEIGHTS = np.array([1, 1, 10, 0, 0, 1, 10, *[1] * STATES, *[1] * INPUTS], np.float64)
+"""Of errors of x, y, heading, speed, steering; of acceleration and steering rate; of the trust region."""
+
+_TOLERANCE = 1e-6
+"""A smaller change of all inputs together ends the search."""
+
+
+def _first(inputs: Float64[np.ndarray, "n 2"]) -> Control:
+    return Control(float(inputs[0, 0]), float(inputs[0, 1]))
+
+
+_SLOWEST_M_S = 0.01
+"""The slowest speed to linearize at: at a standstill steering would seem to be without any effect."""
+
+
+@numba.njit(cache=True)
+@no_type_check
+def wrapped_angle(angle):
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+@numba.njit(cache=True)
+@no_type_check
+def moved(state, control, dt, at, wheelbase, limits, after):
+    """Write the state after a time; `control` is cut to what `limits` allow.
+
+    `limits`: most braking, most acceleration, most steering rate, most steering angle.
+    """
+    control[0] = min(max(control[0], -limits[0]), limits[1])
+    control[1] = min(max(control[1], -limits[2]), limits[2])
+    after[3] = state[3] + control[0] * dt
+    after[4] = min(max(state[4] + control[1] * dt, -limits[3]), limits[3])
+    control[1] = (after[4] - state[4]) / dt
+    speed, steer = state[3] + at * control[0] * dt, state[4] + at * control[1] * dt
+    turn = speed * np.tan(steer) / wheelbase * dt
+    heading = state[2] + at * turn
+    after[0] = state[0] + speed * np.cos(heading) * dt
+    after[1] = state[1] + speed * np.sin(heading) * dt
+    after[2] = state[2] + turn
+
+
+@numba.njit(cache=True)
+@no_type_check
+def linearized(state, control, dt, at, wheelbase, slope, effect):
+    """Write the derivatives of `moved` by the state, (5, 5), and by the control within its limits, (5, 2)."""
+    speed, steer = state[3] + at * control[0] * dt, state[4] + at * control[1] * dt
+    if abs(speed) < _SLOWEST_M_S:
+        speed = -_SLOWEST_M_S if speed < 0 else _SLOWEST_M_S
+    by_speed, by_steer = np.tan(steer) / wheelbase * dt, speed * dt / (wheelbase * np.cos(steer) ** 2)
+    heading = state[2] + at * speed * by_speed
+    forward, sideways = np.cos(heading) * dt, np.sin(heading) * dt
+    slope[:] = 0.0
+    for i in range(STATES):
+        slope[i, i] = 1.0
+    slope[0, 2], slope[1, 2] = -speed * sideways, speed * forward
+    slope[0, 3] = forward - speed * sideways * at * by_speed
+    slope[1, 3] = sideways + speed * forward * at * by_speed
+    slope[0, 4] = -speed * sideways * at * by_steer
+    slope[1, 4] = speed * forward * at * by_steer
+    slope[2, 3], slope[2, 4] = by_speed, by_steer
+    effect[:] = 0.0
+    for i in range(3):
+        effect[i, 0], effect[i, 1] = at * dt * slope[i, 3], at * dt * slope[i, 4]
+    effect[3, 0] = effect[4, 1] = dt
+
+
+@numba.njit(cache=True)
+@no_type_check
+def rolled_out(start, controls, dt, at, wheelbase, limits, states):
+    """Write the states that controls lead to, the start first; `controls` are cut to what is allowed."""
+    states[0] = start
+    for k in range(len(controls)):
+        moved(states[k], controls[k], dt, at, wheelbase, limits, states[k + 1])
+
+
+@numba.njit(cache=True)
+@no_type_check
+def policy(states, controls, wanted, dt, at, wheelbase, weights, gains, offsets):
+    """Write the best linear answer to deviations, by dynamic programming from the horizon back.
+
+    `weights`: of state errors (5), inputs (2), deviations of states (5) and of inputs (2) from the present iterate; the
+    last two are the trust region. The answer is `gains[k] @ deviation + offsets[k]`.
+    """
+    count = len(controls)
+    value, slope_of_value = np.zeros((STATES, STATES)), np.zeros(STATES)
+    for i in range(STATES):
+        value[i, i] = weights[i] + weights[7 + i]
+    _add_error(states[count], wanted[count], weights, slope_of_value)
+    slope, effect = np.empty((STATES, STATES)), np.empty((STATES, INPUTS))
+    for k in range(count - 1, -1, -1):
+        linearized(states[k], controls[k], dt, at, wheelbase, slope, effect)
+        _answer(value, slope_of_value, slope, effect, controls[k], weights, gains[k], offsets[k])
+        value, slope_of_value = _before(
+            value, slope_of_value, slope, effect, gains[k], offsets[k], controls[k], weights
+        )
+        _add_error(states[k], wanted[k], weights, slope_of_value)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def improved(states, controls, dt, at, wheelbase, limits, gains, offsets, better):
+    """Write the controls that an answer to deviations leads to, from the same start."""
+    now, deviation, after = states[0].copy(), np.zeros(STATES), np.empty(STATES)
+    for k in range(len(controls)):
+        for i in range(INPUTS):
+            better[k, i] = controls[k, i] + offsets[k, i]
+            for j in range(STATES):
+                better[k, i] += gains[k, i, j] * deviation[j]
+        moved(now, better[k], dt, at, wheelbase, limits, after)
+        now[:] = after
+        deviation[:] = after - states[k + 1]
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _add_error(state, wanted, weights, slope_of_value):
+    """Add the slope of a moment's tracking cost."""
+    for i in range(STATES):
+        error = state[i] - wanted[i]
+        slope_of_value[i] += weights[i] * (wrapped_angle(error) if i == 2 else error)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _product(left, right):
+    """Multiply two small matrices."""
+    out = np.zeros((left.shape[0], right.shape[1]))
+    for i in range(left.shape[0]):
+        for m in range(left.shape[1]):
+            for j in range(right.shape[1]):
+                out[i, j] += left[i, m] * right[m, j]
+    return out
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _answer(value, slope_of_value, slope, effect, control, weights, gain, offset):
+    """Minimize a step's cost and the value after it over the inputs."""
+    pulled = _product(effect.T, value)  # (2, 5)
+    square = _product(pulled, effect)
+    a, b, d = square[0, 0] + weights[5] + weights[12], square[0, 1], square[1, 1] + weights[6] + weights[13]
+    determinant = a * d - b * b
+    pulls = _product(pulled, slope)
+    for j in range(STATES):
+        gain[0, j] = -(d * pulls[0, j] - b * pulls[1, j]) / determinant
+        gain[1, j] = -(a * pulls[1, j] - b * pulls[0, j]) / determinant
+    u, w = weights[5] * control[0], weights[6] * control[1]
+    for i in range(STATES):
+        u += effect[i, 0] * slope_of_value[i]
+        w += effect[i, 1] * slope_of_value[i]
+    offset[0] = -(d * u - b * w) / determinant
+    offset[1] = -(a * w - b * u) / determinant
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _before(value, slope_of_value, slope, effect, gain, offset, control, weights):
+    """Return value and slope one step earlier, the tracking error of that moment aside."""
+    closed = slope + _product(effect, gain)
+    earlier = _product(closed.T, _product(value, closed))
+    earlier_slope, reached = np.zeros(STATES), slope_of_value.copy()
+    for i in range(STATES):
+        for j in range(STATES):
+            for u in range(INPUTS):
+                reached[i] += value[i, j] * effect[j, u] * offset[u]
+    for i in range(STATES):
+        earlier[i, i] += weights[i] + weights[7 + i]
+        for m in range(STATES):
+            earlier_slope[i] += closed[m, i] * reached[m]
+        for u in range(INPUTS):
+            pull = weights[5 + u] * (control[u] + offset[u]) + weights[12 + u] * offset[u]
+            earlier_slope[i] += gain[u, i] * pull
+            for j in range(STATES):
+                earlier[i, j] += (weights[5 + u] + weights[12 + u]) * gain[u, i] * gain[u, j]
+    return earlier, earlier_slope
+
+
+# § Where the iLQR tracker's search begins: the inputs that a plan itself seems to have been driven with.
+
+_JERK_PENALTY, _CURVATURE_RATE_PENALTY, _CURVATURE_PENALTY = 1e-4, 1e-2, 1e-10
+
+_SPEED_GAIN, _STEER_GAIN = 0.5, 0.05
+
+
+def first_inputs(
+    states: Float64[np.ndarray, "points 5"], speed_m_s: float, steer_rad: float, wheelbase_m: float, dt_s: float
+) -> Float64[np.ndarray, "n 2"]:
+    """Return accelerations and steering rates that lead about along given poses, from a given speed and steering.
+
+    Speeds and curvatures are fitted to the poses by least squares (nuPlan's tracker: penalties 1e-4 on the change of
+    acceleration, 1e-2 on the change of curvature), and the first inputs are corrected by 0.5 and 0.05 times what speed
+    and steering are off. nuPlan's correction of a lateral error (gain 0.1, 15 m ahead) has nothing to correct here:
+    plans begin at the vehicle.
+    """
+    speeds = _fitted_speeds(states, dt_s)
+    steers = np.arctan(wheelbase_m * _fitted_curvatures(states, speeds, dt_s))
+    inputs = np.zeros((len(states) - 1, 2))
+    if len(inputs) > 1:
+        inputs[:-1, 0], inputs[:-1, 1] = np.diff(speeds) / dt_s, np.diff(steers) / dt_s
+        inputs[-1] = inputs[-2]
+    inputs[0] += _SPEED_GAIN * (speeds[0] - speed_m_s), _STEER_GAIN * (steers[0] - steer_rad)
+    return inputs
+
+
+def _fitted_speeds(states: Float64[np.ndarray, "points 5"], dt_s: float) -> Float64[np.ndarray, " n"]:
+    """Speeds whose Euler steps along the headings come nearest to the poses."""
+    headings, count = states[:-1, 2], len(states) - 1
+    steps = np.diff(states[:, :2], axis=0)
+    # Of unknown first speed and accelerations; each step's measurement is its length along its heading.
+    forward = steps[:, 0] * np.cos(headings) + steps[:, 1] * np.sin(headings)
+    matrix = np.tril(np.full((count, count), dt_s**2))
+    matrix[:, 0] = dt_s
+    changes = np.diff(np.eye(count)[1:], axis=0)
+    fitted = _least_squares(matrix, forward, _JERK_PENALTY * changes.T @ changes)
+    return fitted[0] + dt_s * np.concatenate([[0.0], np.cumsum(fitted[1:])])
+
+
+def _fitted_curvatures(
+    states: Float64[np.ndarray, "points 5"], speeds: Float64[np.ndarray, " n"], dt_s: float
+) -> Float64[np.ndarray, " n"]:
+    """Curvatures whose Euler steps at given speeds come nearest to the turns between the poses."""
+    turns = wrapped(np.diff(states[:, 2]))
+    count = len(turns)
+    matrix = np.tril(np.full((count, count), dt_s**2)) * speeds[:, None]
+    matrix[:, 0] = speeds * dt_s
+    penalties = np.full(count, _CURVATURE_RATE_PENALTY)
+    penalties[0] = _CURVATURE_PENALTY  # so that a standstill has an answer too
+    fitted = _least_squares(matrix, turns, np.diag(penalties))
+    return fitted[0] + dt_s * np.concatenate([[0.0], np.cumsum(fitted[1:])])
+
+
+def _least_squares(
+    matrix: Float64[np.ndarray, "n n"], wanted: Float64[np.ndarray, " n"], penalty: Float64[np.ndarray, "n n"]
+) -> Float64[np.ndarray, " n"]:
+    return np.linalg.pinv(matrix.T @ matrix + penalty) @ (matrix.T @ wanted)

@@ -1,0 +1,1 @@
+"""Other programs: HUGSIM, OpenSCENARIO, OpenDRIVE, MCAP."""

@@ -1,0 +1,294 @@
+"""The agent that is somebody else: a driving stack that speaks HUGSIM's protocol, in a process of its own."""
+
+import logging
+import os
+import shlex
+import signal
+import subprocess
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from ...safe_io.limits import open_file
+from ..agents.base import Needs, Observation, Plan, Rig
+from ..agents.http import ClientError
+from .hugsim_pickle import old_pickle
+from .hugsim_protocol import (
+    CAMERA_NAMES,
+    MOST_BYTES,
+    OBSERVATIONS,
+    PLANS,
+    ChannelOrder,
+    HugsimWorld,
+    Patience,
+    Pipes,
+    all_six,
+    camera_params,
+    hugsim_info,
+    hugsim_obs,
+    read_reply,
+)
+
+_log = logging.getLogger(__name__)
+
+FIRST_WAIT_S, LATER_WAIT_S = 120.0, 60.0
+"""For the first plan, before which models are loaded, and for each one after."""
+
+_LEAVE_WAIT_S = 100.0
+"""HUGSIM waits as long for its client, which writes a video, once it has said that the drive is over."""
+
+_SHORT_S = 2.0
+"""To say so to a client that has given up and is likely to be gone."""
+
+
+class HugsimAgent:
+    """Lets a HUGSIM client (UniAD_SIM, VAD_SIM, NAVSIM's LTF, or a person's own) drive, unchanged.
+
+    Per step it is sent `(obs, info)` through `obs_pipe` and answers through `plan_pipe`; "Done" tells it that the drive
+    is over, upon which HUGSIM's clients end: each drive takes a new one. Drive in `in_hugsim_setting`, where HUGSIM's
+    point of reference, the front camera, is ours too; with any other vehicle and rig `ego_pos` is still the front
+    camera's place, `ego_box` the body's, and plans are turned into those of the rear axle (`to_vehicle_frame`).
+    """
+
+    name = "hugsim"
+
+    def __init__(
+        self,
+        folder: Path,
+        client_command: str | None = None,
+        channel_order: ChannelOrder = "rgb",
+        *,
+        semantic: bool = False,
+        depth: bool = False,
+        first_wait_s: float = FIRST_WAIT_S,
+        later_wait_s: float = LATER_WAIT_S,
+    ) -> None:
+        """Make ready to drive by the pipes in `folder`; without a command a person starts the client.
+
+        `semantic` and `depth` are sent too when asked for: no known client reads them, and labels take several times
+        as long to draw as pictures. Raises ClientError where there can be no pipes.
+        """
+        self.folder = folder.absolute()
+        self._command, self._semantic, self._depth = client_command, semantic, depth
+        self._channels: ChannelOrder = channel_order
+        self._first_wait_s, self._later_wait_s = first_wait_s, later_wait_s
+        self._pipes = Pipes(self.folder)
+        self._client: ClientProcess | None = None
+        self._drive: _Drive | None = None
+
+    @property
+    def needs(self) -> Needs:
+        """All cameras of the rig, and what is to be sent beside their pictures."""
+        return Needs(("all",), self._depth, self._semantic)
+
+    @property
+    def invitation(self) -> str:
+        """What a person is told who starts the client."""
+        return f"waiting for a HUGSIM client at {self.folder} ({OBSERVATIONS}, {PLANS})"
+
+    def reset(self, seed: int, rig: Rig) -> None:
+        """Begin a drive with a new client.
+
+        Raises ValueError for a rig that is not HUGSIM's, ClientError where the client can't be started.
+        """
+        self._finish()
+        self._drive = _Drive(rig)
+        if self._command is not None:
+            self._client = ClientProcess(self._command, self.folder)
+        else:
+            _log.info("%s", self.invitation)
+
+    def plan(self, observation: Observation) -> Plan:
+        """Return what the client plans; no points where it gives up.
+
+        Raises ClientError where it is gone, silent, or answers what is no plan; the drive with it is over then.
+        """
+        drive = self._drive
+        if drive is None:
+            raise ClientError("there is no drive: reset the agent first")
+        patience = Patience(self._first_wait_s if drive.world is None else self._later_wait_s, self._ended)
+        try:
+            self._pipes.send(self._message(drive, observation), patience)
+            points = read_reply(self._pipes.receive(patience, MOST_BYTES))
+        except BaseException:  # a person's Ctrl+C too: nobody waits for what hangs
+            self._break_off()
+            raise
+        if points is None:
+            drive.given_up = True
+            return Plan(np.zeros((0, 2)), {"problem": "the client gave up: it answered None"})
+        x, y = drive.cameras[CAMERA_NAMES[0]].camera_to_ego[:2, 3]
+        return Plan(to_vehicle_frame(points, (float(x), float(y))))
+
+    def close(self) -> None:
+        """Say "Done" to the client, and wait until one that was started here has left."""
+        self._finish()
+
+    def _message(self, drive: "_Drive", observation: Observation) -> memoryview:
+        if drive.world is None:
+            drive.world = HugsimWorld.beginning(drive.rig, observation)
+        obs = hugsim_obs(observation.views, drive.cameras, self._channels, self._semantic, self._depth)
+        return old_pickle((obs, hugsim_info(observation, drive.rig, drive.world, drive.params)))
+
+    def _ended(self) -> str | None:
+        return None if self._client is None else self._client.ended
+
+    def _finish(self) -> None:
+        """End the drive under way, if there is one."""
+        drive, self._drive = self._drive, None
+        try:
+            if drive is not None and drive.world is not None:
+                leaves = self._say_done(drive)
+                if leaves and self._client is not None:
+                    self._client.wait(_LEAVE_WAIT_S)
+        finally:
+            self._break_off()
+
+    def _say_done(self, drive: "_Drive") -> bool:
+        """Tell the client that the drive is over; returns whether it is going to leave."""
+        try:
+            wait = _SHORT_S if drive.given_up else self._later_wait_s
+            self._pipes.send(old_pickle("Done"), Patience(wait, self._ended))
+        except ClientError as problem:
+            if not drive.given_up:
+                _log.warning("the drive is over, but %s", problem)
+                return False
+        return True
+
+    def _break_off(self) -> None:
+        """Let go of the drive, and of a client that was started here and still runs."""
+        self._drive = None
+        if self._client is not None:
+            self._client.stop()
+            self._client = None
+
+
+class _Drive:
+    """What belongs to one drive."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.cameras = all_six(rig.cameras)
+        self.params = camera_params(self.cameras, rig)
+        self.world: HugsimWorld | None = None
+        """Known from the first observation on."""
+        self.given_up = False
+
+
+# § From a HUGSIM plan to ours: other axes, and another point of the vehicle.
+
+_SAME_PLACE_M = 0.05
+
+
+def to_vehicle_frame(
+    plan: Float64[np.ndarray, "n 2"], front_m: tuple[float, float]
+) -> Float64[np.ndarray, "n 2"]:  # fmt: skip
+    """Return where the rear axle is to be (x forward, y left), for a plan of the front camera (x right, y forward).
+
+    HUGSIM's point of reference is the front camera, `front_m` (forward, left) of our rear axle; both plans begin at
+    their own point. Behind a front that moves on straight from point to point the rear axle follows on a tractrix: the
+    angle d between heading and motion shrinks as tan(d / 2) exp(-length / wheelbase), with the camera's distance ahead
+    of the axle for the wheelbase. Where the camera stands above the axle, as in HUGSIM's own setting, points stay as
+    they are.
+    """
+    forward = plan[:, ::-1] * (1.0, -1.0) + 0.0  # not -0
+    ahead, left = front_m
+    if ahead < _SAME_PLACE_M:
+        return np.ascontiguousarray(forward)
+    heading, before = 0.0, np.zeros(2)
+    rear: list[np.ndarray] = []
+    start = np.array([ahead, left])
+    for point in forward:
+        step = point - before
+        length = float(np.hypot(*step))
+        if length > 0:
+            motion = float(np.arctan2(step[1], step[0]))
+            apart = float(np.arctan2(np.sin(motion - heading), np.cos(motion - heading)))
+            heading = motion - 2 * float(np.arctan(np.tan(apart / 2) * np.exp(-length / ahead)))
+        cosine, sine = np.cos(heading), np.sin(heading)
+        arm = np.array([cosine * ahead - sine * left, sine * ahead + cosine * left])
+        rear.append(start + point - arm)
+        before = point
+    return np.array(rear)
+
+
+# § The other half of a HUGSIM drive as a process of our own: started, watched, and seen out.
+
+OUTPUT = "output.txt"
+"""What the client prints, in the folder of the pipes, as HUGSIM keeps it."""
+
+_TAIL_BYTES = 2000
+
+
+class ClientProcess:
+    """A client started with a command line: the folder of the pipes takes the place of {folder}, else comes last.
+
+    HUGSIM's `zsh SCRIPT CUDA_ID OUTPUT_DIR` is written "zsh SCRIPT CUDA_ID".
+    """
+
+    def __init__(self, command: str, folder: Path) -> None:
+        """Start it, in a session of its own. Raises ClientError where it can't be."""
+        try:
+            words = shlex.split(command)
+        except ValueError as problem:
+            raise ClientError(f"the client's command {command!r} can't be read: {problem}") from None
+        if not words:
+            raise ClientError("the client's command is empty")
+        placed = [word.replace("{folder}", str(folder)) for word in words]
+        placed += [] if any("{folder}" in word for word in words) else [str(folder)]
+        self._output = folder / OUTPUT
+        try:
+            with self._output.open("wb") as output:
+                self._process = subprocess.Popen(
+                    placed, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
+                )
+        except OSError as problem:
+            raise ClientError(f"the client can't be started: {problem}") from None
+
+    @property
+    def ended(self) -> str | None:
+        """How it ended, as a clause with its last words; none while it runs."""
+        code = self._process.poll()
+        if code is None:
+            return None
+        how = f"with exit code {code}" if code >= 0 else f"by {_signal_name(-code)}"
+        words = self._last_words()
+        said = f", its last words in {self._output}: {words!r}," if words else ""
+        return f"ended {how}{said}"
+
+    def wait(self, within_s: float) -> bool:
+        """Whether it has ended of itself, within a time."""
+        try:
+            self._process.wait(within_s)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+    def stop(self, within_s: float = 5.0) -> None:
+        """End it and what it has started, if it still runs: asked first, forced after a time."""
+        if self._process.poll() is not None:
+            return
+        for each in (signal.SIGTERM, signal.SIGKILL):
+            try:
+                os.killpg(self._process.pid, each)
+            except ProcessLookupError:
+                break
+            if self.wait(within_s):
+                break
+        self._process.wait()
+
+    def _last_words(self) -> str:
+        try:
+            with open_file(self._output) as output:
+                output.seek(max(0, os.fstat(output.fileno()).st_size - _TAIL_BYTES))
+                lines = output.read(_TAIL_BYTES).decode(errors="replace").split("\n")
+        except OSError:
+            return ""
+        return next((line.strip()[-300:] for line in reversed(lines) if line.strip()), "")
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"

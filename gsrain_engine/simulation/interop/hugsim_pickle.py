@@ -1,0 +1,338 @@
+"""Pickles that any NumPy can read: their streams name `numpy` and nothing inside it.
+
+NumPy 2 pickles its arrays by a name in `numpy._core`, which NumPy 1 has not: a client that runs UniAD's numpy 1.22
+could not read a single message.
+"""
+
+import io
+import math
+import pickle
+import pickletools
+import warnings
+from collections.abc import Callable
+from operator import index
+from typing import Any
+
+import numpy as np
+
+_PROTOCOL = 4
+"""Python 3.4's: of all that clients run."""
+
+
+class _OldPickler(pickle.Pickler):
+    def reducer_override(self, obj: Any, /) -> Any:
+        if isinstance(obj, np.ndarray):
+            if obj.dtype.hasobject:
+                raise TypeError(f"an array of {obj.dtype} has no bytes to send")
+            # A bytearray, not bytes: an array made of it can be written to.
+            array: np.ndarray = np.ascontiguousarray(obj)
+            return np.ndarray, (obj.shape, array.dtype.str, bytearray(array.data.cast("B") if array.size else b""))
+        if isinstance(obj, np.generic):
+            scalar = obj.item()
+            return type(scalar), (scalar,)
+        return NotImplemented
+
+
+def old_pickle(value: Any) -> memoryview:
+    """Pickle plain values, NumPy arrays and NumPy scalars among them; scalars arrive as Python's own.
+
+    Raises TypeError for an array of objects.
+    """
+    stream = io.BytesIO()
+    _OldPickler(stream, _PROTOCOL).dump(value)
+    return stream.getbuffer()
+
+
+# § NumPy arrays of numbers out of somebody's pickle, put together by ourselves from shape, type and bytes.
+
+_DTYPES = {f"{kind}{size}" for kind in "iu" for size in (1, 2, 4, 8)} | {"f2", "f4", "f8"}
+
+_MOST_ITEMS, _MOST_AXES = 1_000_000, 8
+
+
+class PickledType:
+    """Stands for `numpy.dtype`."""
+
+    __slots__ = ("_order", "_spec")
+
+    def __init__(self, spec: Any, *_: Any) -> None:
+        self._spec, self._order = text(spec), ""
+
+    def __setstate__(self, state: Any) -> None:
+        self._order = text(state[1])
+
+    def real(self) -> np.dtype[Any]:
+        """Return the type; raises ValueError for one that is not of numbers."""
+        spec = self._spec.lstrip("<>=|")
+        if spec not in _DTYPES:
+            raise ValueError(f"it holds an array of {self._spec[:20]}, not of numbers")
+        order = self._order or self._spec[:1]
+        return np.dtype(spec).newbyteorder(">" if order == ">" else "<")
+
+
+class PickledArray:
+    """Stands for `numpy.ndarray`: in the making while the stream is read, looked at only afterwards."""
+
+    __slots__ = ("_dtype", "_fortran", "_raw", "_shape")
+
+    def __init__(self, shape: Any = (), dtype: Any = None, raw: Any = b"", fortran: Any = False) -> None:
+        self._shape, self._dtype, self._raw, self._fortran = shape, dtype, raw, fortran
+
+    def __setstate__(self, state: Any) -> None:
+        self._shape, self._dtype, self._fortran, self._raw = state[-4:]
+
+    def real(self) -> np.ndarray:
+        """Return the array; raises ValueError where shape, type and bytes don't fit together."""
+        if not isinstance(self._raw, bytes | bytearray):
+            raise ValueError("it holds an array without bytes")
+        dtype = (self._dtype if isinstance(self._dtype, PickledType) else PickledType(self._dtype)).real()
+        shape = checked_shape(self._shape)
+        if math.prod(shape) * dtype.itemsize != len(self._raw):
+            raise ValueError(f"it holds an array of shape {shape} in {len(self._raw)} bytes")
+        flat = np.frombuffer(bytes(self._raw), dtype)
+        return flat.reshape(shape, order="F" if self._fortran else "C").astype(dtype.newbyteorder("="))
+
+
+def checked_shape(shape: Any) -> tuple[int, ...]:
+    """Return a shape that memory has room for; raises ValueError for any other."""
+    if len(shape) > _MOST_AXES:
+        raise ValueError(f"it holds an array of {len(shape)} axes")
+    sides = tuple(index(each) for each in shape)
+    if min(sides, default=0) < 0 or math.prod(sides) > _MOST_ITEMS:
+        raise ValueError(f"it holds an array of shape {sides}"[:100])
+    return sides
+
+
+def text(value: Any) -> str:
+    """Return a word as it is; raises ValueError for anything else."""
+    if not isinstance(value, str):
+        raise ValueError("it has something else where a word belongs")
+    return value
+
+
+def _made(shape: Any = (), dtype: Any = "f8", raw: Any = b"") -> PickledArray:
+    return PickledArray(shape, dtype, raw)
+
+
+def _empty(*_: Any) -> PickledArray:
+    return PickledArray()
+
+
+def _scalar(dtype: Any, raw: Any = b"") -> PickledArray:
+    return PickledArray((), dtype, raw)
+
+
+def _from_buffer(raw: Any, dtype: Any, shape: Any, order: Any = "C") -> PickledArray:
+    return PickledArray(shape, dtype, raw, order == "F")
+
+
+NUMPY_NAMES = {
+    ("numpy", "ndarray"): _made,
+    ("numpy", "dtype"): PickledType,
+    **{
+        (f"numpy.{core}.{module}", name): make
+        for core in ("core", "_core")
+        for module, name, make in (
+            ("multiarray", "_reconstruct", _empty),
+            ("multiarray", "scalar", _scalar),
+            ("numeric", "_frombuffer", _from_buffer),
+        )
+    },
+}
+"""What NumPy's pickles call, by module and name: those of NumPy 1 and 2, of all protocols."""
+
+# § PyTorch tensors on the CPU out of somebody's pickle, without PyTorch: VAD's client answers with one.
+#
+# Such a pickle holds the tensor's storage as a file of `torch.save` in its old form: five pickles, then how many
+# numbers
+# there are (64 bits), then they.
+
+_STORAGES = {
+    "torch FloatStorage": "<f4", "torch DoubleStorage": "<f8", "torch HalfStorage": "<f2", "torch LongStorage": "<i8",
+    "torch IntStorage": "<i4",
+}  # fmt: skip
+
+_PICKLES = 5
+"""A magic number, the protocol, the machine, the storage's description, its keys."""
+
+
+class PickledTensor:
+    """Stands for `torch.Tensor`: a storage and how to walk through it, looked at when the stream was read."""
+
+    __slots__ = ("_first", "_raw", "_shape", "_steps")
+
+    def __init__(self, raw: Any, first: Any = 0, shape: Any = (), steps: Any = (), *_: Any) -> None:
+        """Take what the pickle says; `raw` is the storage's file."""
+        self._raw, self._first, self._shape, self._steps = raw, first, shape, steps
+
+    def real(self) -> np.ndarray:
+        """Return the tensor as an array; raises ValueError where it does not fit into its storage."""
+        values = _storage_values(self._raw)
+        shape, steps = checked_shape(self._shape), checked_shape(self._steps)
+        if len(shape) != len(steps):
+            raise ValueError("it holds a tensor with more axes than steps")
+        places = np.full(shape, int(self._first), np.int64)
+        for axis, (side, step) in enumerate(zip(shape, steps, strict=True)):
+            along = [1] * len(shape)
+            along[axis] = side
+            places += (step * np.arange(side)).reshape(along)
+        if places.size and not 0 <= places.min() <= places.max() < len(values):
+            raise ValueError(f"it holds a tensor of shape {shape} in a storage of {len(values)}")
+        return values[places]
+
+
+def _storage_values(raw: Any) -> np.ndarray:
+    """Return all numbers of a storage, from its file; nothing in it is run."""
+    if not isinstance(raw, bytes | bytearray):
+        raise ValueError("it holds a tensor without a storage")
+    stream, kinds = io.BytesIO(raw), set[str]()
+    for _ in range(_PICKLES):
+        for opcode, argument, _place in pickletools.genops(stream):
+            if opcode.name == "GLOBAL":
+                kinds.add(str(argument))
+    if len(kinds) != 1 or not kinds <= set(_STORAGES):
+        raise ValueError(f"it holds a tensor of {', '.join(sorted(kinds)) or 'nothing'}, not of numbers"[:120])
+    dtype = np.dtype(_STORAGES[kinds.pop()])
+    count = int.from_bytes(stream.read(8), "little")
+    values = stream.read()
+    if count * dtype.itemsize != len(values):
+        raise ValueError(f"it holds a storage of {count} numbers in {len(values)} bytes")
+    return np.frombuffer(values, dtype)
+
+
+def _storage(raw: Any) -> Any:
+    return raw
+
+
+def _hooks(*_: Any) -> None:
+    """What is to be called when gradients flow: none do."""
+
+
+TORCH_NAMES = {
+    ("torch._utils", "_rebuild_tensor_v2"): PickledTensor,
+    ("torch.storage", "_load_from_bytes"): _storage,
+    ("collections", "OrderedDict"): _hooks,
+}
+"""What pickles of tensors call, by module and name."""
+
+# § Reads pickles from strangers: numbers, lists, NumPy arrays and PyTorch tensors of numbers come out, and nothing
+# runs.
+#
+# A pickle is a program; what it calls is looked up here in a short list of stand-ins, none of which is NumPy's,
+# PyTorch's
+# or Python's own.
+
+_MOST_MEMOS = 100_000
+
+_STEPS = """
+PROTO FRAME STOP MARK POP POP_MARK DUP PUT BINPUT LONG_BINPUT MEMOIZE GET BINGET LONG_BINGET
+NONE NEWTRUE NEWFALSE INT BININT BININT1 BININT2 LONG LONG1 LONG4 FLOAT BINFLOAT
+STRING BINSTRING SHORT_BINSTRING UNICODE SHORT_BINUNICODE BINUNICODE BINUNICODE8
+BINBYTES SHORT_BINBYTES BINBYTES8 BYTEARRAY8
+EMPTY_LIST LIST APPEND APPENDS EMPTY_TUPLE TUPLE TUPLE1 TUPLE2 TUPLE3 GLOBAL STACK_GLOBAL REDUCE BUILD
+"""
+
+_OPCODES = frozenset(_STEPS.split())
+"""What arrays and lists of numbers are made of. Dictionaries and sets are not: a key that is nested deeply enough
+overflows the stack when it is hashed."""
+
+
+def read_plain_pickle(data: bytes) -> Any:
+    """Unpickle plain values, and arrays and tensors of numbers, the latter as arrays.
+
+    Raises ValueError, with what is wrong in a clause, for anything else; nothing that a pickle names is ever called.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of escapes that are none, in texts of protocol 0
+            _check_steps(data)
+            return _plain(_PlainUnpickler(io.BytesIO(data)).load())
+    except (pickle.UnpicklingError, ValueError) as problem:
+        raise ValueError(str(problem) or "it is no pickle") from None
+    except (ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, RecursionError, TypeError) as problem:
+        raise ValueError(f"it is damaged ({type(problem).__name__})") from None
+
+
+class _PlainUnpickler(pickle.Unpickler):
+    def find_class(self, module: str, name: str, /) -> Any:
+        if (module, name) not in _STAND_INS:
+            raise pickle.UnpicklingError(f"it names {f'{module}.{name}'[:80]}, which is not let in")
+        return _STAND_INS[module, name]
+
+
+def _check_steps(data: bytes) -> None:
+    """Walk through a stream without doing what it says: lengths that lie and huge memos end here, not in memory."""
+    last = 0
+    for opcode, argument, place in pickletools.genops(data):
+        if opcode.name not in _OPCODES:
+            raise ValueError(f"it does {opcode.name}, which no plan needs")
+        if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT") and int(argument or 0) > _MOST_MEMOS:
+            raise ValueError("it remembers too much")
+        last = place or 0
+    if last + 1 != len(data):
+        raise ValueError("something follows after its end")
+
+
+class _Named:
+    """What a name in a pickle stands for: it can be called, and can't be changed."""
+
+    __slots__ = ("_make",)
+
+    def __init__(self, make: Callable[..., Any]) -> None:
+        self._make = make
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._make(*arguments)
+
+    def __setstate__(self, state: Any) -> None:
+        raise ValueError("it writes into a name")
+
+
+def _bytes_of(word: Any, *_: Any) -> bytes:
+    """Bytes as Python 2's protocols write them: `_codecs.encode(text, "latin1")`."""
+    return text(word).encode("latin1")
+
+
+def _same_bytes(data: Any = b"", *_: Any) -> bytes:
+    if not isinstance(data, bytes | bytearray):
+        raise ValueError("it makes bytes of something else")
+    return bytes(data)
+
+
+_NAMES = {
+    ("_codecs", "encode"): _bytes_of,
+    ("builtins", "bytearray"): _same_bytes,
+    ("builtins", "bytes"): _same_bytes,
+    **NUMPY_NAMES,
+    **TORCH_NAMES,
+}
+
+_STAND_INS = {name: _Named(make) for name, make in _NAMES.items()}
+
+
+def _plain(value: Any) -> Any:
+    """Turn stand-ins into what they stand for, at the top and in sequences: a message of ours goes no deeper."""
+    if isinstance(value, PickledArray | PickledTensor):
+        return _checked(value)
+    if isinstance(value, list | tuple):
+        return [_row(row) for row in _short(value)]  # pyright: ignore[reportUnknownArgumentType]
+    return value
+
+
+def _row(row: Any) -> Any:
+    if isinstance(row, list | tuple):
+        return [_checked(each) for each in _short(row)]  # pyright: ignore[reportUnknownArgumentType]
+    return _checked(row)
+
+
+def _checked(value: Any) -> Any:
+    if not isinstance(value, PickledArray | PickledTensor):
+        return value
+    array = value.real()
+    return array.item() if array.ndim == 0 else array
+
+
+def _short(values: list[Any] | tuple[Any, ...]) -> list[Any] | tuple[Any, ...]:
+    if len(values) > 10_000:
+        raise ValueError(f"it holds a list of {len(values)}")
+    return values

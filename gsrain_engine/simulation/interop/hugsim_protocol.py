@@ -1,0 +1,418 @@
+"""HUGSIM's two named pipes, `obs_pipe` and `plan_pipe`, with a watch over who is at their other ends.
+
+A message has neither length nor version: whoever writes opens, writes and closes, whoever reads does so to the end.
+"""
+
+import errno
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from ...safe_io.limits import ByteBudget, Deadline, InputError, TooLargeError, open_pipe, read_pipe, write_pipe
+from ...safe_io.text_files import printable
+from ...scene.scene import RigCamera, Scene
+from ...scene.street.build import street_rigs
+from ..agents.base import COMMANDS, CameraView, Observation, Rig, front_camera, lidar_to_rig
+from ..agents.http import ClientError, plan_points
+from ..scenario import Scenario
+from ..traffic.base import RoadUser
+from ..vehicle import HUGSIM_VEHICLE
+from .hugsim_pickle import read_plain_pickle
+
+OBSERVATIONS, PLANS = "obs_pipe", "plan_pipe"
+
+_LONGEST_PAUSE_S = 0.02
+
+_MOMENTS = 25
+"""Pauses in which a client that has let go of a pipe may end: why it did is told then."""
+
+_ROOM_BYTES = 1 << 20
+
+
+class Patience:
+    """How long to wait for a client, and whether there still is one to wait for."""
+
+    def __init__(self, seconds: float, ended: Callable[[], str | None]) -> None:
+        """Begin to wait now; `ended` says how the client ended, in a clause, none while it runs or is not known."""
+        self.deadline, self._ended = Deadline(seconds), ended
+
+    def check(self, done: str) -> None:
+        """Raise ClientError where it makes no sense to wait on until it has `done` something."""
+        ended = self._ended()
+        if ended is not None:
+            raise ClientError(f"the client {ended} before it had {done}")
+        if not self.deadline.left_s:
+            raise self.late(done)
+
+    def late(self, done: str) -> ClientError:
+        """Return the error of a client that has not `done` something in time, however much of it has come."""
+        return ClientError(f"the client has not {done} within {self.deadline.seconds:g} s")
+
+    def failed(self, done: str, why: str) -> ClientError:
+        """Return the error of a client that has left a pipe: that it ended, if that is why, else `why`."""
+        for _ in range(_MOMENTS):
+            try:
+                self.check(done)
+            except ClientError as ended:
+                return ended
+            time.sleep(_LONGEST_PAUSE_S)
+        return ClientError(why)
+
+
+class Pipes:
+    """The pipes in a folder; made where they are missing, since either side may come first."""
+
+    def __init__(self, folder: Path) -> None:
+        """Make ready. Raises ClientError where there can be no pipes."""
+        if not hasattr(os, "mkfifo"):
+            raise ClientError("this system has no named pipes, by which HUGSIM's clients are spoken to")
+        folder.mkdir(parents=True, exist_ok=True)
+        self._observations, self._plans = folder / OBSERVATIONS, folder / PLANS
+        for path in (self._observations, self._plans):
+            try:
+                os.mkfifo(path)
+            except FileExistsError:
+                if not path.is_fifo():
+                    raise ClientError(f"{path} is there, and it is no pipe: move it away") from None
+            except OSError as problem:
+                raise ClientError(f"no pipe can be made: {problem}") from None
+
+    def send(self, message: memoryview | bytes, patience: Patience) -> None:
+        """Write a message for the client; done when it has taken all but what a pipe holds.
+
+        Raises ClientError where it does not come for it, leaves in the midst of it, or ends.
+        """
+        pipe = self._reached(patience)
+        try:
+            _widen(pipe)
+            write_pipe(pipe, message, patience.deadline, lambda: patience.check("read the observation"))
+        except TimeoutError:
+            raise patience.late("read the observation") from None
+        except BrokenPipeError:
+            raise patience.failed(
+                "read the observation", "the client closed obs_pipe before it had read the observation"
+            ) from None
+        finally:
+            os.close(pipe)
+
+    def receive(self, patience: Patience, most_bytes: int) -> bytes:
+        """Read the client's reply to its end.
+
+        Raises ClientError where none comes, where it is longer than allowed, or where the client ends.
+        """
+        try:
+            pipe = open_pipe(self._plans, os.O_RDONLY)
+        except OSError as problem:
+            raise ClientError(f"the pipe can't be opened: {problem}") from None
+        try:
+            budget = ByteBudget(most_bytes, self._plans)
+            reply = read_pipe(pipe, budget, patience.deadline, lambda: patience.check("answered"))
+        except TimeoutError:
+            raise patience.late("answered") from None
+        except TooLargeError:
+            raise ClientError(f"the client answers more than {most_bytes} bytes") from None
+        finally:
+            os.close(pipe)
+        if not reply:
+            raise patience.failed("answered", "the client opened plan_pipe and closed it without an answer")
+        return reply
+
+    def _reached(self, patience: Patience) -> int:
+        """Open for writing once there is somebody who reads; there is no way to be told, so it is tried."""
+        pause = 0.0005
+        while True:
+            try:
+                return open_pipe(self._observations, os.O_WRONLY)
+            except OSError as problem:
+                if isinstance(problem, InputError) or problem.errno != errno.ENXIO:
+                    raise ClientError(f"the pipe can't be opened: {problem}") from None
+            patience.check("opened obs_pipe")
+            time.sleep(pause)
+            pause = min(2 * pause, _LONGEST_PAUSE_S)
+
+
+def _widen(pipe: int) -> None:
+    """Let the pipe hold more at once, where the system can: a message is megabytes."""
+    import fcntl  # Windows has none: there is no way here on it, but this file can be read
+
+    resize = getattr(fcntl, "F_SETPIPE_SZ", None)
+    if resize is not None:
+        try:
+            fcntl.fcntl(pipe, resize, _ROOM_BYTES)
+        except OSError:
+            return
+
+
+# § What a HUGSIM client is sent for an observation: `(obs, info)`, named and shaped as HUGSIM's env has them.
+
+ChannelOrder = Literal["rgb", "bgr"]
+
+_UNKNOWN = 19
+"""The class after Cityscapes' last: HUGSIM's scenes know twenty."""
+
+_ROUTE_SHARE = 0.9
+"""HUGSIM's route is complete at nine tenths."""
+
+
+def hugsim_obs(
+    views: Mapping[str, CameraView], cameras: Mapping[str, RigCamera], channels: ChannelOrder, semantic: bool,
+    depth: bool,
+) -> dict[str, dict[str, np.ndarray]]:  # fmt: skip
+    """Return `obs`: rgb, semantic and depth (metres) by camera; all zeros for a camera that nothing was drawn for.
+
+    What is not sent is an empty dictionary, so that a client that wants it after all stops at a missing name and not
+    at a picture that is not one.
+    """
+    rgb: dict[str, np.ndarray] = {}
+    semantics: dict[str, np.ndarray] = {}
+    depths: dict[str, np.ndarray] = {}
+    for name, camera in cameras.items():
+        view, shape = views.get(name), (camera.height, camera.width)
+        rgb[name] = np.zeros((*shape, 3), np.uint8) if view is None else _ordered(view.image, channels)
+        if semantic:
+            ids = None if view is None else view.semantic
+            semantics[name] = np.zeros(shape, np.uint8) if ids is None else np.minimum(ids, np.uint8(_UNKNOWN))
+        if depth:
+            seen = None if view is None else view.depth_m
+            depths[name] = np.zeros(shape, np.float32) if seen is None else seen
+    return {"rgb": rgb, "semantic": semantics, "depth": depths}
+
+
+# § HUGSIM's world: the axes of the front camera where the drive begins (x right, y down, z forward), in metres.
+#
+# From our world (z up) to there. HUGSIM takes the first recorded front camera as it is mounted; ours is levelled, so
+# that
+# y is straight down and the ego vehicle keeps its x-z plane: its boxes and poses assume as much.
+
+Box = list[float]
+"""z, -x, -y, width, length, height, yaw: middle in axes x forward, y left, z up, yaw left positive (HUGSIM's "IMU")."""
+
+
+@dataclass(frozen=True, slots=True)
+class HugsimWorld:
+    """Where HUGSIM's world lies in ours."""
+
+    x_m: float
+    y_m: float
+    z_m: float
+    """The front camera's place when the drive begins."""
+    yaw_rad: float
+    """The vehicle's heading then."""
+
+    @classmethod
+    def beginning(cls, rig: Rig, observation: Observation) -> "HugsimWorld":
+        """Put the world's origin into the front camera as it stands at an observation."""
+        x, y, z = _front_camera(rig, observation)
+        return cls(x, y, z, observation.state.yaw_rad)
+
+    def place(self, x_m: float, y_m: float, z_m: float) -> Float64[np.ndarray, "3"]:
+        """Take a place in our world to HUGSIM's."""
+        cosine, sine = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        forward = cosine * (x_m - self.x_m) + sine * (y_m - self.y_m)
+        left = cosine * (y_m - self.y_m) - sine * (x_m - self.x_m)
+        return np.array([-left, self.z_m - z_m, forward])
+
+    def yaw(self, yaw_rad: float) -> float:
+        """Take a heading (left positive) to an angle about y down (right positive), -pi..pi."""
+        return wrapped(self.yaw_rad - yaw_rad)
+
+    def ego_place(self, rig: Rig, observation: Observation) -> Float64[np.ndarray, "3"]:
+        """Return where the front camera is: HUGSIM's point of reference of the ego vehicle."""
+        return self.place(*_front_camera(rig, observation))
+
+    def ego_box(self, rig: Rig, observation: Observation) -> Box:
+        """Return the ego vehicle's box: around its body's middle, at the front camera's height."""
+        state, vehicle = observation.state, rig.vehicle
+        x, y = state.to_world(np.array([[vehicle.middle_m, 0.0]]))[0]
+        middle = self.place(float(x), float(y), _front_camera(rig, observation)[2])
+        size = vehicle.width_m, vehicle.length_m, vehicle.height_m
+        return [*_forward_left_up(middle), *size, -self.yaw(state.yaw_rad)]
+
+    def object_box(self, user: RoadUser) -> Box:
+        """Return a road user's box: its bottom's middle, and its heading as HUGSIM writes it, -yaw - pi/2.
+
+        HUGSIM's models look along their own x, a quarter turn right of forward: `yaw` is that of the model, -pi..pi.
+        """
+        bottom = self.place(user.x_m, user.y_m, user.z_m)
+        length, width, height = user.size_lwh
+        model_yaw = wrapped(self.yaw(user.yaw_rad) - np.pi / 2)
+        return [*_forward_left_up(bottom), width, length, height, -model_yaw - np.pi / 2]
+
+
+def hugsim_info(
+    observation: Observation, rig: Rig, world: HugsimWorld, cameras: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Return `info`; `cameras` are `cam_params`.
+
+    Angles are radians, right positive, but for the boxes' yaw. Two differences, for the client's good: `ego_rot` stays
+    (0, yaw, 0) beyond a quarter turn, where HUGSIM's three angles fold over to another triple of the same rotation; and
+    every message has `rc` and `collision`, which HUGSIM leaves out of a drive's first.
+    """
+    state = observation.state
+    yaw = world.yaw(state.yaw_rad)
+    along = observation.route.nearest(state.x_m, state.y_m).along_m
+    return {
+        "ego_pos": [float(each) for each in world.ego_place(rig, observation)],
+        "ego_rot": [0.0, yaw, 0.0],
+        "ego_velo": float(state.speed_m_s),
+        "ego_steer": -float(state.steer_rad),
+        "accelerate": float(observation.acceleration_m_s2),
+        "steer_rate": -float(observation.steer_rate_rad_s),
+        "timestamp": float(observation.time_s),
+        "command": COMMANDS.index(observation.command),
+        "ego_box": world.ego_box(rig, observation),
+        "obj_boxes": [world.object_box(user) for user in observation.road_users],
+        "cam_params": {name: dict(values) for name, values in cameras.items()},
+        "rc": max(0.0, along) / (_ROUTE_SHARE * observation.route.length_m),
+        "collision": False,
+    }
+
+
+def camera_params(cameras: Mapping[str, RigCamera], rig: Rig) -> dict[str, dict[str, Any]]:
+    """Return `cam_params`: intrinsics, and poses of the vehicle (v2c) and the lidar (l2c) in each camera (4x4, metres).
+
+    The vehicle's frame is nuScenes' (x forward, y left, z up, below the rear axle on the road), the lidar's is x right,
+    y forward, z up. The fields of view stand for the focal lengths, W / (2 tan(fovx / 2)), wherever cx and cy are.
+    """
+    vehicle_to_rig = np.eye(4)
+    vehicle_to_rig[2, 3] = -rig.height_m
+    lidar = lidar_to_rig(cameras[CAMERA_NAMES[0]])
+    params: dict[str, dict[str, Any]] = {}
+    for name, camera in cameras.items():
+        rig_to_camera = np.linalg.inv(camera.camera_to_ego)
+        params[name] = {
+            "intrinsic": {
+                "H": int(camera.height), "W": int(camera.width), "cx": float(camera.cx), "cy": float(camera.cy),
+                "fovx": float(2 * np.arctan(camera.width / (2 * camera.fx))),
+                "fovy": float(2 * np.arctan(camera.height / (2 * camera.fy))),
+            },
+            "v2c": rig_to_camera @ vehicle_to_rig,
+            "l2c": rig_to_camera @ lidar,
+        }  # fmt: skip
+    return params
+
+
+def _ordered(image: UInt8[np.ndarray, "h w 3"], channels: ChannelOrder) -> UInt8[np.ndarray, "h w 3"]:
+    return image if channels == "rgb" else np.ascontiguousarray(image[..., ::-1])
+
+
+# § What a HUGSIM client answers: points of a plan, or nothing.
+
+MOST_BYTES = 1 << 20
+"""A plan of six points is 200 bytes."""
+
+
+def read_reply(data: bytes) -> Float64[np.ndarray, "n 2"] | None:
+    """Return a plan's points (x right, y forward, metres, 0.5 s apart), none where the client gives up.
+
+    Arrays of any numbers and lists of pairs are taken. Raises ClientError for anything else; nothing in it is run.
+    """
+    try:
+        value = read_plain_pickle(data)
+    except ValueError as problem:
+        raise ClientError(f"the client sent {len(data)} bytes that can't be read: {printable(problem)}") from None
+    return None if value is None else plan_points(value, "the client")
+
+
+def wrapped(angle_rad: float) -> float:
+    return float(np.arctan2(np.sin(angle_rad), np.cos(angle_rad)))
+
+
+def _front_camera(rig: Rig, observation: Observation) -> tuple[float, float, float]:
+    x, y, z = front_camera(rig.cameras).camera_to_ego[:3, 3]
+    world = observation.state.to_world(np.array([[x, y]]))[0]
+    return float(world[0]), float(world[1]), float(observation.height_m + rig.height_m + z)
+
+
+def _forward_left_up(place: Float64[np.ndarray, "3"]) -> tuple[float, float, float]:
+    return float(place[2]), -float(place[0]), -float(place[1])
+
+
+# § How HUGSIM sets a drive up: six cameras of 800 x 450 with nuScenes' names, the ego box around the front one.
+
+CAMERA_NAMES = ("CAM_FRONT", "CAM_FRONT_LEFT", "CAM_FRONT_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT")
+"""UniAD's and VAD's clients need all six, LTF's the three in front."""
+
+WIDTH_PX, HEIGHT_PX = 800, 450
+"""Clients resize to 1600 x 900 and double the intrinsics, or say 1920 x 1080: no other size is right for them."""
+
+RIG = "hugsim"
+
+
+def in_hugsim_setting(scenario: Scenario, scene: Scene) -> tuple[Scenario, Scene]:
+    """Return a scenario and its scene with HUGSIM's vehicle and a rig "hugsim" for its clients.
+
+    HUGSIM steers the point that carries the front camera, with the ego box around it. So does this: the rig is moved
+    back until its front camera stands above the vehicle's point of reference, and plans need no turning into another
+    point's. Raises ValueError where the scene has no rig with a front camera.
+    """
+    rig = hugsim_rig(_best_rig(scenario.rig, scene))
+    scenario = msgspec.structs.replace(scenario, vehicle=HUGSIM_VEHICLE, rig=RIG, picture_width_px=WIDTH_PX)
+    return scenario, replace(scene, rigs={**scene.rigs, RIG: rig})
+
+
+def hugsim_rig(cameras: tuple[RigCamera, ...]) -> tuple[RigCamera, ...]:
+    """Return those cameras of a rig that HUGSIM's clients know, in their size, the front one above the origin.
+
+    A picture that is higher than 16 : 9 is cut evenly at top and bottom, one that is lower shows more.
+    """
+    known = _by_name(cameras)
+    if CAMERA_NAMES[0] not in known:
+        names = ", ".join(each.name for each in cameras) or "no cameras"
+        raise ValueError(f"a rig for HUGSIM's clients needs a camera CAM_FRONT (or FRONT), not only {names}")
+    back = -front_camera(tuple(known.values())).camera_to_ego[:3, 3] * (1, 1, 0)
+    return tuple(_of_size(_moved(known[name], back), name) for name in CAMERA_NAMES if name in known)
+
+
+def all_six(cameras: tuple[RigCamera, ...]) -> Mapping[str, RigCamera]:
+    """Return HUGSIM's six cameras by name: the rig's own, and for those it lacks nuScenes', around the same front one.
+
+    Raises ValueError where the rig's are of another size.
+    """
+    own = {each.name: each for each in cameras if each.name in CAMERA_NAMES}
+    front = CAMERA_NAMES[0]
+    if front not in own:
+        raise ValueError(f"HUGSIM's clients need a camera {front}: drive with the rig {RIG!r} of `in_hugsim_setting`")
+    for each in own.values():
+        if (each.width, each.height) != (WIDTH_PX, HEIGHT_PX):
+            raise ValueError(
+                f"camera {each.name} is {each.width} x {each.height}: HUGSIM's clients take {WIDTH_PX} x {HEIGHT_PX}"
+            )
+    usual = {each.name: each for each in hugsim_rig(street_rigs()["nuscenes"])}
+    shift = own[front].camera_to_ego[:3, 3] - usual[front].camera_to_ego[:3, 3]
+    return {name: own[name] if name in own else _moved(usual[name], shift) for name in CAMERA_NAMES}
+
+
+def _best_rig(name: str | None, scene: Scene) -> tuple[RigCamera, ...]:
+    if name is not None and name not in scene.rigs:
+        raise ValueError(f"scene {scene.name!r} has no rig {name!r}, only {', '.join(scene.rigs) or 'none'}")
+    rigs = list(scene.rigs.values()) if name is None else [scene.rigs[name]]
+    return max(rigs, key=lambda rig: len(_by_name(rig)), default=())
+
+
+def _by_name(cameras: tuple[RigCamera, ...]) -> dict[str, RigCamera]:
+    """Cameras by nuScenes' names; FRONT_LEFT counts as CAM_FRONT_LEFT."""
+    named = {f"CAM_{each.name.upper().removeprefix('CAM_')}": each for each in cameras}
+    return {name: named[name] for name in CAMERA_NAMES if name in named}
+
+
+def _moved(camera: RigCamera, by_m: np.ndarray) -> RigCamera:
+    pose = camera.camera_to_ego.copy()
+    pose[:3, 3] += by_m
+    return replace(camera, camera_to_ego=pose)
+
+
+def _of_size(camera: RigCamera, name: str) -> RigCamera:
+    scale = WIDTH_PX / camera.width
+    cut = (camera.height * scale - HEIGHT_PX) / 2
+    return replace(
+        camera, name=name, width=WIDTH_PX, height=HEIGHT_PX, fx=camera.fx * scale, fy=camera.fy * scale,
+        cx=camera.cx * scale, cy=camera.cy * scale - cut,
+    )  # fmt: skip

@@ -1,0 +1,130 @@
+"""HUGSIM's scenario files (YAML), as far as they can be driven here."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from ...safe_io.errors import converted
+from ..geometry import wrapped_deg
+from ..scenario import Scenario, ScenarioUser
+from ..vehicle import HUGSIM_VEHICLE
+
+_MOST_STEPS, _STEP_S = 400, 0.25
+"""HUGSIM's own limits."""
+
+_IDM = {
+    "desired_speed_m_s": 30.0, "least_gap_m": 5.0, "headway_s": 2.0, "acceleration_m_s2": 2.0,
+    "comfortable_braking_m_s2": 4.0, "exponent": 4.0,
+}  # fmt: skip
+
+
+class _Row(msgspec.Struct, frozen=True, array_like=True):
+    """A background vehicle. World: axes of the first front camera (x right, y down, z forward), metres, radians."""
+
+    right_m: float
+    forward_m: float
+    height_m: float
+    yaw_rad: float
+    """It moves by (-sin, cos) of it in (right, forward): left positive, whatever HUGSIM's comment says."""
+    speed_m_s: float
+    model: str
+    planner: str
+    parameters: dict[str, Any]
+
+
+class _HugsimScenario(msgspec.Struct, frozen=True, kw_only=True):
+    mode: str
+    plan_list: list[_Row]
+    scene_name: str
+    start_euler: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Degrees about the axes above, the second one to the right."""
+    start_ab: tuple[float, float] = (0.0, 0.0)
+    """Right and forward of the first front camera, metres."""
+    start_velo: float = 0.0
+    start_steer: float = 0.0
+
+
+def is_hugsim_scenario(values: object) -> bool:
+    """Whether what a YAML file holds is a scenario of HUGSIM's."""
+    return isinstance(values, dict) and {"plan_list", "scene_name"} <= {str(key) for key in values}
+
+
+def hugsim_scenario(values: object, path: Path) -> Scenario:
+    """Return the scenario that HUGSIM's plain values describe; `path` is where they stand.
+
+    Its ego vehicle is a box around the front camera, and so is the one here (`HUGSIM_VEHICLE`): distances stay what
+    they are. `scene_name` becomes the scene, to be replaced by the file that the scene was converted to. 3DRealCar
+    models can't be read: a saloon stands in for each. ConstantPlanner goes straight on; UnicyclePlanner follows the
+    track of the scene's actor of that id at that pace; IDM follows the route with HUGSIM's parameters (HUGSIM's own
+    stands still where it has no HD map).
+
+    Raises ValueError, with the file and what is meant, for AttackPlanner, which draws lots without a seed, and for
+    what else there is not.
+    """
+    try:
+        found = converted(values, _HugsimScenario)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    pitch, right, roll = found.start_euler
+    if abs(pitch) > 1 or abs(roll) > 1:
+        raise ValueError(
+            f"{path}: start_euler {list(found.start_euler)}: only a turn about the second axis can be taken"
+        )
+    if found.start_steer != 0:
+        raise ValueError(f"{path}: start_steer {found.start_steer:g}: drives begin with the wheels straight, at 0")
+    users = [_user(path, number, row, found) for number, row in enumerate(found.plan_list)]
+    plain = {
+        "name": f"{found.scene_name}-{found.mode}",
+        "description": f"HUGSIM's scenario {path.stem}.",
+        "scene": found.scene_name,
+        "ahead_m": found.start_ab[1],
+        "left_m": -found.start_ab[0],
+        "turned_deg": -right,
+        "speed_m_s": found.start_velo,
+        "road_users": [msgspec.to_builtins(user) for user in users],
+        "vehicle": msgspec.to_builtins(HUGSIM_VEHICLE),
+        "step_s": _STEP_S,
+        "duration_s": _MOST_STEPS * _STEP_S,
+    }
+    try:
+        return converted(plain, Scenario)
+    except msgspec.ValidationError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _user(path: Path, number: int, row: _Row, found: _HugsimScenario) -> ScenarioUser:
+    where = f"{path}: vehicle {number + 1} of plan_list"
+    turned = np.radians(found.start_euler[1])
+    right, forward = row.right_m - found.start_ab[0], row.forward_m - found.start_ab[1]
+    plain = {
+        "id": f"vehicle-{number + 1}",
+        "placed": "straight",
+        "ahead_m": float(right * np.sin(turned) + forward * np.cos(turned)),
+        "left_m": float(-right * np.cos(turned) + forward * np.sin(turned)),
+        "turned_deg": wrapped_deg(float(np.degrees(row.yaw_rad + turned))),
+        "speed_m_s": row.speed_m_s,
+        "behaviour": _behaviour(where, row),
+    }
+    try:
+        return converted(plain, ScenarioUser)
+    except msgspec.ValidationError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def _behaviour(where: str, row: _Row) -> dict[str, Any]:
+    if row.planner == "ConstantPlanner":
+        return {"kind": "constant-velocity"}
+    if row.planner == "UnicyclePlanner":
+        return {"kind": "track", "actor": row.parameters.get("uc_id"), "pace": row.parameters.get("speed", 1.0)}
+    if row.planner == "IDM":
+        return {"kind": "idm", **_IDM}
+    if row.planner == "AttackPlanner":
+        raise ValueError(
+            f"{where}: AttackPlanner chooses among its best paths at random, without a seed: no two of its runs are "
+            "alike; write what it should do as a cut-in or brake behaviour"
+        )
+    raise ValueError(
+        f"{where}: planner {row.planner!r} is not known, only ConstantPlanner, UnicyclePlanner, IDM and AttackPlanner"
+    )

@@ -1,0 +1,480 @@
+"""OpenSCENARIO XML files, as far as they can be driven without a map."""
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import msgspec
+import numpy as np
+
+from ...safe_io.errors import converted
+from ...safe_io.text_files import printable, read_whole
+from ..geometry import wrapped_deg
+from ..scenario import Scenario
+from ..vehicle import Vehicle, VehicleState
+
+
+def read_openscenario(path: Path) -> Scenario:
+    """Read an OpenSCENARIO XML file, version 1.0 to 1.3.
+
+    Taken are: vehicles with their boxes, first positions (WorldPosition; RelativeLanePosition and
+    RelativeObjectPosition to the ego vehicle, lanes 3.5 m wide) and speeds; one event each, of a lane change, a change
+    of speed or a trajectory with times, set off by time, gap or time to collision; precipitation in mm/h (from 1.1 on:
+    before it was a share without a unit) and wind; the time at which the storyboard stops. The ego vehicle is the one
+    called Ego, or hero, or else the first; what it is told to do is left to the driver under test. It starts where the
+    scene's own drive starts: all others are placed around it.
+
+    Raises ValueError, with the file and the element, for what else matters and can't be taken.
+    """
+    root = read_xml(path)
+    objects = {each.get("name", ""): each for each in root.iterfind("Entities/ScenarioObject")}
+    begun = beginnings(path, root)
+    if not objects:
+        raise ValueError(f"{path}: there are no ScenarioObjects in it")
+    ego_name = next((name for name in objects if name.lower() in ("ego", "hero")), next(iter(objects)))
+    missing = next((name for name in objects if name not in begun), None)
+    if missing is not None:
+        raise ValueError(f"{path}: {missing} is not teleported anywhere at the start")
+    header = root.find("FileHeader")
+    own = {} if header is None else properties(header)
+    vehicle = ego_vehicle(path, objects[ego_name])
+    users, kept = list[dict[str, Any]](), list[str]()
+    for name, entity in objects.items():
+        if name == ego_name:
+            continue
+        if own_properties(entity).get(f"{PROPERTY}kept") == "true":
+            kept.append(name)
+        else:
+            users.append(_user(path, root, name, entity, begun, ego_name, vehicle))
+    plain = {
+        "name": path.stem,
+        "description": "" if header is None else header.get("description", ""),
+        "speed_m_s": begun[ego_name].speed_m_s,
+        "keep": kept,
+        "road_users": users,
+        "rain": _rain(path, root, own),
+        "vehicle": msgspec.to_builtins(vehicle),
+        **_duration(path, root),
+        **{name: own[PROPERTY + name] for name in OWN_FIELDS if PROPERTY + name in own},
+    }
+    try:
+        return converted(plain, Scenario, strict=False)
+    except msgspec.ValidationError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+# § Where entities of an OpenSCENARIO file begin, as seen from the ego vehicle.
+
+
+@dataclass(frozen=True, slots=True)
+class Beginning:
+    """How an entity begins."""
+
+    position: Element
+    """The position that it is teleported to."""
+    speed_m_s: float
+
+
+def _user(
+    path: Path, root: Element, name: str, entity: Element, begun: dict[str, Beginning], ego_name: str, vehicle: Vehicle
+) -> dict[str, Any]:
+    box = box_of(path, entity)
+    where = placed(path, name, begun[name], ego_name, begun[ego_name])
+    # Both are placed by their points of reference, and ours by their middles.
+    turned, ahead = np.radians(where["turned_deg"]), 0.0 if box is None else box[1]
+    where["ahead_m"] += ahead * float(np.cos(turned)) - vehicle.middle_m
+    where["left_m"] += ahead * float(np.sin(turned))
+    where |= {each: round(where[each], 6) for each in ("ahead_m", "left_m")}
+    speed, starts = begun[name].speed_m_s, [world_state(path, begun[each].position) for each in (name, ego_name)]
+    actor = Actor(name, where["left_m"], speed, starts[0], ego_name, starts[1])
+    return {
+        "id": name,
+        **look_of(path, name, entity),
+        **({} if box is None else {"size_lwh_m": box[0]}),
+        **where,
+        "speed_m_s": speed,
+        "behaviour": controlled_behaviour(entity) or behaviour(path, root, actor),
+    }
+
+
+def _rain(path: Path, root: Element, own: dict[str, str]) -> dict[str, Any]:
+    first = root.find("Storyboard/Init/Actions/GlobalAction/EnvironmentAction")
+    if any(each is not first or each.find("Environment") is None for each in root.iter("EnvironmentAction")):
+        raise ValueError(f"{path}: weather that changes, or comes from a catalogue: only one Environment at the start")
+    weather = None if first is None else first.find("Environment/Weather")
+    plain: dict[str, Any] = {"seed": own.get(f"{PROPERTY}seed", "0")}
+    rain, wind = (None, None) if weather is None else (weather.find("Precipitation"), weather.find("Wind"))
+    if rain is not None and rain.get("precipitationType") != "dry":
+        if rain.get("precipitationType") != "rain":
+            raise ValueError(f"{path}: it {rain.get('precipitationType')}s: only rain falls here")
+        if "precipitationIntensity" not in rain.attrib:
+            raise ValueError(f"{path}: precipitation without precipitationIntensity: its share 0..1 says no mm/h")
+        plain["intensity_mm_h"] = number(path, rain, "precipitationIntensity")
+    if wind is not None:
+        speed, direction = number(path, wind, "speed"), number(path, wind, "direction")
+        plain["wind_m_s"] = [round(float(speed * each(direction)), 9) + 0.0 for each in (np.cos, np.sin)]
+    return plain
+
+
+def _duration(path: Path, root: Element) -> dict[str, float]:
+    stop = root.find("Storyboard/StopTrigger")
+    end = None if stop is None else stop.find(".//SimulationTimeCondition")
+    return {} if end is None else {"duration_s": number(path, end, "value")}
+
+
+# § What entities of an OpenSCENARIO file do, as behaviours.
+
+_AT_ONCE_M_S2 = 20.0
+
+_LANE_CHANGE, _SPEED, _FOLLOW = (
+    "PrivateAction/LateralAction/LaneChangeAction",
+    "PrivateAction/LongitudinalAction/SpeedAction",
+    "PrivateAction/RoutingAction/FollowTrajectoryAction",
+)
+
+_CONDITIONS = ("SimulationTimeCondition", "RelativeDistanceCondition", "TimeToCollisionCondition")
+
+
+@dataclass(frozen=True, slots=True)
+class Actor:
+    """Who acts."""
+
+    name: str
+    left_m: float
+    """Of the ego vehicle, where it begins."""
+    speed_m_s: float
+    start: VehicleState | None
+    """Where it begins in the world, if that is known."""
+    ego_name: str
+    ego_start: VehicleState | None
+
+
+def events_of(root: Element, name: str) -> list[tuple[Element, list[Element]]]:
+    """Return the events of an entity, each with the triggers that it waits for: its act's and its own."""
+    found: list[tuple[Element, list[Element]]] = []
+    for act in root.iter("Act"):
+        for group in act.iter("ManeuverGroup"):
+            if name in [each.get("entityRef") for each in group.iterfind("Actors/EntityRef")]:
+                found += [(event, [*act.findall("StartTrigger"), *event.findall("StartTrigger")])
+                          for event in group.iter("Event")]  # fmt: skip
+    return found
+
+
+def behaviour(path: Path, root: Element, actor: Actor) -> dict[str, Any]:
+    """Return what an entity does as the plain values of a behaviour.
+
+    Raises ValueError, with the file, the entity and the action, for more than one event and for what has no behaviour.
+    """
+    where = f"{path}: {actor.name}"
+    events = events_of(root, actor.name)
+    if not events:
+        return {"kind": "constant-velocity"} if actor.speed_m_s > 0 else {"kind": "stationary"}
+    if len(events) > 1:
+        raise ValueError(f"{where} has {len(events)} events: one each can be taken")
+    ((event, triggers),) = events
+    change, speed, follow = (event.find(f"Action/{each}") for each in (_LANE_CHANGE, _SPEED, _FOLLOW))
+    actions = event.findall("Action")
+    if not actions or len(actions) != sum(each is not None for each in (change, speed, follow)):
+        kinds = {kind.tag for each in actions for kind in each.iterfind("PrivateAction/*")} or {"no private action"}
+        raise ValueError(
+            f"{where}: {', '.join(sorted(kinds))}: only LaneChangeAction, SpeedAction and FollowTrajectoryAction, one "
+            "of each, can be taken"
+        )
+    if follow is not None:
+        return _track(path, follow, actor)
+    trigger = _trigger(path, where, triggers)
+    new = {} if speed is None else _new_speed(path, where, speed, actor)
+    if change is not None:
+        return {"kind": "cut-in", **trigger, **_lane_change(path, where, change, actor), **new}
+    to, rate = new["to_speed_m_s"], new["acceleration_m_s2"]
+    if to < actor.speed_m_s:
+        return {"kind": "brake", **trigger, "deceleration_m_s2": rate, "to_speed_m_s": to}
+    return {"kind": "cut-in", **trigger, "offset_m": 0.0, **new}
+
+
+def _lane_change(path: Path, where: str, change: Element, actor: Actor) -> dict[str, Any]:
+    target, dynamics = change.find("LaneChangeTarget/RelativeTargetLane"), change.find("LaneChangeActionDynamics")
+    if target is None or dynamics is None or target.get("entityRef") not in (actor.name, actor.ego_name):
+        raise ValueError(
+            f"{where}: a lane change needs a RelativeTargetLane of itself or {actor.ego_name}: there is no map"
+        )
+    beside = number(path, change, "targetLaneOffset") if "targetLaneOffset" in change.attrib else 0.0
+    to = LANE_M * number(path, target, "value") + beside
+    offset: float | None = to
+    if target.get("entityRef") == actor.ego_name:
+        offset = None if to == 0 else to - actor.left_m
+    across, value = abs(actor.left_m if offset is None else offset), number(path, dynamics, "value")
+    kind = dynamics.get("dynamicsDimension")
+    durations = {"time": value, "distance": value / max(actor.speed_m_s, 0.1), "rate": across / max(value, 1e-6)}
+    if kind not in durations:
+        raise ValueError(f"{where}: dynamicsDimension {kind!r}: only time, distance and rate are known")
+    return {"duration_s": durations[kind], "offset_m": offset}
+
+
+def _new_speed(path: Path, where: str, speed: Element, actor: Actor) -> dict[str, float]:
+    target, dynamics = speed.find("SpeedActionTarget/AbsoluteTargetSpeed"), speed.find("SpeedActionDynamics")
+    if target is None or dynamics is None:
+        raise ValueError(f"{where}: a speed can only be changed to an AbsoluteTargetSpeed")
+    to, value = number(path, target, "value"), number(path, dynamics, "value")
+    by, kind = abs(to - actor.speed_m_s), dynamics.get("dynamicsDimension")
+    rate = _AT_ONCE_M_S2
+    if dynamics.get("dynamicsShape") != "step" and value > 0:
+        rates = {"rate": value, "time": by / value, "distance": abs(to**2 - actor.speed_m_s**2) / (2 * value)}
+        if kind not in rates:
+            raise ValueError(f"{where}: dynamicsDimension {kind!r}: only time, distance and rate are known")
+        rate = rates[kind]
+    return {"to_speed_m_s": to, "acceleration_m_s2": min(max(rate, 1e-3), _AT_ONCE_M_S2)}
+
+
+def _trigger(path: Path, where: str, triggers: list[Element]) -> dict[str, float]:
+    """Return what sets an event off; times of its act and its own both have to pass."""
+    after, others = 0.0, list[dict[str, float]]()
+    if any(len(trigger.findall("ConditionGroup")) > 1 for trigger in triggers):
+        raise ValueError(f"{where}: waits for one of several groups of conditions: only one group can be taken")
+    for condition in (each for trigger in triggers for each in trigger.iter("Condition")):
+        kind = next((each for each in condition.iter() if each.tag in _CONDITIONS), condition)
+        late = number(path, condition, "delay") if "delay" in condition.attrib else 0.0
+        if kind.tag == "SimulationTimeCondition":
+            after = max(after, number(path, kind, "value") + late)
+        elif kind.tag == "TimeToCollisionCondition":
+            others.append({"time_to_collision_s": number(path, kind, "value")})
+        elif kind.get("relativeDistanceType") == "longitudinal" and kind.get("freespace") == "true":
+            others.append({"gap_m": number(path, kind, "value")})
+        else:
+            raise ValueError(
+                f"{where}: waits for {condition.get('name')!r}: only SimulationTimeCondition, TimeToCollisionCondition "
+                "and a longitudinal RelativeDistanceCondition in free space can be taken"
+            )
+    if len(others) > 1 or (others and after > 0):
+        raise ValueError(f"{where}: waits for several conditions at once: one can be taken")
+    return others[0] if others else {"after_s": after}
+
+
+def _track(path: Path, follow: Element, actor: Actor) -> dict[str, Any]:
+    """Return the points of a trajectory from where its entity begins, ahead and left as the ego vehicle stands."""
+    points: list[dict[str, float]] = []
+    for vertex in follow.iter("Vertex"):
+        position = vertex.find("Position/*")
+        there = None if position is None else world_state(path, position)
+        if there is None or actor.start is None or actor.ego_start is None:
+            raise ValueError(f"{path}: {actor.name}: a trajectory and its beginning must be WorldPositions")
+        step = np.array([[there.x_m - actor.start.x_m, there.y_m - actor.start.y_m]])
+        frame = VehicleState(0.0, 0.0, actor.ego_start.yaw_rad)
+        ahead, left = frame.from_world(step)[0]
+        time_s = number(path, vertex, "time")
+        if time_s > 0:
+            points.append({"time_s": time_s, "ahead_m": float(ahead), "left_m": float(left)})
+    if not points:
+        raise ValueError(f"{path}: {actor.name}: its trajectory is no polyline with times: nothing can be followed")
+    return {"kind": "track", "points": points}
+
+
+# § Vehicles and people of an OpenSCENARIO file, as we have them.
+
+_MODELS = {"car": "saloon", "van": "van", "truck": "truck", "bus": "truck", "semitrailer": "truck"}
+
+_CLASSES = {"van": "car", "semitrailer": "truck", "motorbike": "motorcycle"}
+
+
+def look_of(path: Path, name: str, entity: Element) -> dict[str, str]:
+    """Return model and class of an entity; raises ValueError where nothing here looks like it."""
+    vehicle = entity.find("Vehicle")
+    if vehicle is not None:
+        category = vehicle.get("vehicleCategory", "car")
+    elif entity.find("CatalogReference") is not None:
+        category = "car"
+    else:
+        category = "thing" if entity.find("Pedestrian") is None else "person"
+    model = own_properties(entity).get(f"{PROPERTY}model", _MODELS.get(category))
+    if model is None:
+        raise ValueError(
+            f'{path}: {name} is a {category}, of which there is no model: name one in its property "{PROPERTY}model"'
+        )
+    return {"model": model, "class_name": _CLASSES.get(category, category)}
+
+
+def own_properties(entity: Element) -> dict[str, str]:
+    return {name: value for each in entity for name, value in properties(each).items()}
+
+
+def controlled_behaviour(entity: Element) -> dict[str, Any] | None:
+    """Return the behaviour that stands in a controller's properties; None where there is none."""
+    found = entity.find("ObjectController/Controller")
+    values = {} if found is None else properties(found)
+    return dict(values) if "kind" in values else None
+
+
+def box_of(path: Path, entity: Element) -> tuple[tuple[float, float, float], float] | None:
+    """Return length, width and height of an entity, and how far its middle is ahead of its point of reference."""
+    size, middle = entity.find("*/BoundingBox/Dimensions"), entity.find("*/BoundingBox/Center")
+    if size is None or middle is None:
+        return None
+    length, width, height = (number(path, size, each) for each in ("length", "width", "height"))
+    return (length, width, height), number(path, middle, "x")
+
+
+def ego_vehicle(path: Path, entity: Element) -> Vehicle:
+    """Return the ego vehicle; what it does not say, or says beyond all bounds, is a middle-class car's."""
+    box, performance = box_of(path, entity), entity.find("Vehicle/Performance")
+    plain: dict[str, Any] = {}
+    if box is not None:
+        (length, width, height), middle = box
+        plain |= {"length_m": length, "width_m": width, "height_m": height}
+        plain["rear_overhang_m"] = round(length / 2 - middle, 6)
+    axles = [entity.find(f"Vehicle/Axles/{name}") for name in ("FrontAxle", "RearAxle")]
+    if axles[0] is not None and axles[1] is not None:
+        plain["wheelbase_m"] = number(path, axles[0], "positionX") - number(path, axles[1], "positionX")
+        plain["most_steer_rad"] = min(number(path, axles[0], "maxSteering"), 1.5)
+    if performance is not None:
+        plain["most_acceleration_m_s2"] = min(number(path, performance, "maxAcceleration"), 20.0)
+        plain["most_braking_m_s2"] = min(number(path, performance, "maxDeceleration"), 20.0)
+        plain["top_speed_m_s"] = min(number(path, performance, "maxSpeed"), 100.0)
+    try:
+        return converted(plain, Vehicle)
+    except msgspec.ValidationError as error:
+        raise ValueError(f"{path}: the ego vehicle: {error}") from None
+
+
+def beginnings(path: Path, root: Element) -> dict[str, Beginning]:
+    """Find the entities' first positions and speeds, by name.
+
+    Raises ValueError, with the file and the entity, for a speed that is not absolute.
+    """
+    found: dict[str, Beginning] = {}
+    for private in root.iterfind("Storyboard/Init/Actions/Private"):
+        name = private.get("entityRef", "")
+        position = private.find("PrivateAction/TeleportAction/Position/*")
+        if position is None:
+            continue
+        action = private.find("PrivateAction/LongitudinalAction/SpeedAction")
+        speed = None if action is None else action.find("SpeedActionTarget/AbsoluteTargetSpeed")
+        if action is not None and speed is None:
+            raise ValueError(f"{path}: {name} begins at a speed that is no AbsoluteTargetSpeed")
+        found[name] = Beginning(position, 0.0 if speed is None else number(path, speed, "value"))
+    return found
+
+
+def world_state(path: Path, position: Element) -> VehicleState | None:
+    """Return the pose of a WorldPosition; None for positions of other kinds, which need a map."""
+    if position.tag != "WorldPosition":
+        return None
+    heading = number(path, position, "h") if "h" in position.attrib else 0.0
+    return VehicleState(number(path, position, "x"), number(path, position, "y"), heading)
+
+
+def placed(path: Path, name: str, beginning: Beginning, ego_name: str, ego: Beginning) -> dict[str, Any]:
+    """Return the fields of a `ScenarioUser` for where its point of reference is, from the ego vehicle's.
+
+    Raises ValueError, with the file and the entity, for positions that need a map.
+    """
+    position = beginning.position
+    if position.tag == "WorldPosition":
+        from_, there = world_state(path, ego.position), world_state(path, position)
+        if from_ is None or there is None:
+            raise ValueError(
+                f"{path}: {name} has a WorldPosition, {ego_name} a {ego.position.tag}: both must be in the world"
+            )
+        ahead, left = from_.from_world(np.array([[there.x_m, there.y_m]]))[0]
+        return _fields("straight", float(ahead), float(left), there.yaw_rad - from_.yaw_rad)
+    if position.get("entityRef") != ego_name or position.tag not in ("RelativeLanePosition", "RelativeObjectPosition"):
+        raise ValueError(
+            f"{path}: {name} begins at a {position.tag}: without a map only WorldPosition, and RelativeLanePosition "
+            f"and RelativeObjectPosition to {ego_name}, have a place"
+        )
+    turned = position.find("Orientation")
+    heading = 0.0
+    if turned is not None and turned.get("type", "absolute") == "relative" and "h" in turned.attrib:
+        heading = number(path, turned, "h")
+    if position.tag == "RelativeObjectPosition":
+        return _fields("straight", number(path, position, "dx"), number(path, position, "dy"), heading)
+    offset = number(path, position, "offset") if "offset" in position.attrib else 0.0
+    left = LANE_M * number(path, position, "dLane") + offset
+    return _fields("along-route", number(path, position, "ds"), left, heading)
+
+
+def _fields(kind: str, ahead_m: float, left_m: float, turned_rad: float) -> dict[str, Any]:
+    degrees = wrapped_deg(float(np.degrees(turned_rad)))
+    return {"placed": kind, "ahead_m": ahead_m, "left_m": left_m, "turned_deg": round(degrees, 6)}
+
+
+# § OpenSCENARIO files as XML trees: read without trusting them, parameters put in.
+
+_MOST = 1e9
+"""No length, time, speed or angle of a scenario is more; products of such numbers are finite."""
+
+_PARAMETER = re.compile(r"\$(\w+)")
+
+
+class _NoDocumentType(ElementTree.TreeBuilder):
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
+        raise ValueError("a document type: OpenSCENARIO files have none, and entities can be made to blow up")
+
+
+def read_xml(path: Path) -> Element:
+    """Read a file; returns its root `OpenSCENARIO` with all `$parameters` replaced by what they are declared as.
+
+    A file with a document type is refused, so no entities are there to expand and nothing else is opened. Raises
+    ValueError with the file and what is wrong.
+    """
+    data = read_whole(path)
+    parser = ElementTree.XMLParser(target=_NoDocumentType())
+    try:
+        parser.feed(data)
+        root: Element = parser.close()
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: an encoding that is none
+        raise ValueError(f"{path}: {printable(error)}") from None
+    if root.tag != "OpenSCENARIO" or root.find("Storyboard") is None:
+        raise ValueError(f"{path}: not an OpenSCENARIO scenario: there is no Storyboard in it")
+    declared = {each.get("name", ""): each.get("value", "") for each in root.iter("ParameterDeclaration")}
+    for element in root.iter():
+        for name, value in element.attrib.items():
+            if value.startswith("$") and element.tag != "ParameterDeclaration":
+                element.set(name, _put_in(path, element, name, value, declared))
+    return root
+
+
+def _put_in(path: Path, element: Element, name: str, value: str, declared: dict[str, str]) -> str:
+    match = _PARAMETER.fullmatch(value)
+    if match is None or match[1] not in declared:
+        raise ValueError(f'{path}: {element.tag}@{name}="{value}": only declared parameters are put in, no expressions')
+    return declared[match[1]]
+
+
+def number(path: Path, element: Element, name: str) -> float:
+    """Return an attribute as a number; raises ValueError with the file, the element and what stands there."""
+    value = element.get(name)
+    try:
+        found = float(value or "")
+    except ValueError:
+        found = math.nan
+    if not abs(found) <= _MOST:
+        stands = "is missing" if value is None else f'is "{value}"'
+        raise ValueError(f"{path}: {element.tag}@{name} {stands}: expected a number")
+    return found
+
+
+def properties(element: Element) -> dict[str, str]:
+    """Return what stands in an element's own `Properties`."""
+    found = element.find("Properties")
+    return {} if found is None else {each.get("name", ""): each.get("value", "") for each in found.findall("Property")}
+
+
+# § Names that the reader and the writer of OpenSCENARIO files agree on.
+
+EGO = "Ego"
+"""The ego vehicle."""
+
+PROPERTY = "gsrain."
+"""Begins the names of properties that only concern us."""
+
+OWN_FIELDS = (
+    "name", "scene", "rig", "start_s", "ahead_m", "left_m", "turned_deg", "step_s", "leave_m", "picture_width_px",
+)  # fmt: skip
+"""Fields of a scenario that OpenSCENARIO has no word for."""
+
+LANE_M = 3.5
+"""Width of a lane: that of the road that is written beside a scenario, and of lanes in files that are read."""

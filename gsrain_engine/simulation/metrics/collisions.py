@@ -1,0 +1,321 @@
+"""What the ego vehicle really drove into."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+import shapely
+from jaxtyping import Float64
+
+from ..geometry import PlanarBox, wrapped
+from ..rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord, planned_frames, run_setting
+from ..vehicle import Vehicle, VehicleState, vehicle_box
+
+
+class Collision(NamedTuple):
+    """The first touch of a run."""
+
+    who: str
+    """Id of the road user, "background" for anything else."""
+    time_s: float
+    """Since the scenario began."""
+    speed_m_s: float
+    """Of the ego vehicle, at the first moment at which they touch."""
+    closing_speed_m_s: float
+    """How fast it came nearer along its own heading: less than its speed where the other drives on ahead."""
+
+
+def first_collision(rollout: Rollout) -> Collision | None:
+    """Return the first touch of the vehicle's box on the ground with another's or the background; None without one.
+
+    The boxes are those of the simulation, judged at every step, so that times are multiples of it.
+    """
+    for step in rollout.steps:
+        if step.collision is not None:
+            other = next((each for each in step.road_users if each.id == step.collision), None)
+            away = 0.0 if other is None else other.speed_m_s * float(np.cos(other.yaw_rad - step.ego.yaw_rad))
+            return Collision(step.collision, step.time_s, step.ego.speed_m_s, step.ego.speed_m_s - away)
+    return None
+
+
+# § Whether what was planned would have hit something: the paper's rate by planned point, and HUGSIM's by frame.
+
+
+@runtime_checkable
+class Touchable(Protocol):
+    """What stands in the scene beside the road users, such as `OccupiedSpace`."""
+
+    def touches(self, box: PlanarBox) -> bool:
+        """Whether a box on the ground would hit it."""
+        ...
+
+
+class PlannedCollisions(NamedTuple):
+    """c_ij of a run: frame by frame, whether each planned point hits something."""
+
+    frames: tuple[tuple[bool, ...], ...]
+
+    @property
+    def points_per_frame(self) -> int:
+        """N of the paper; the largest where plans differ in length, 0 without any."""
+        return max((len(each) for each in self.frames), default=0)
+
+    @property
+    def point_rate(self) -> float | None:
+        """C of the paper: the share of planned points that collide, over all frames and points, 0..1.
+
+        C = 1/(F N) sum_i sum_j c_ij. None without a planned point.
+        """
+        points = [point for frame in self.frames for point in frame]
+        return sum(points) / len(points) if points else None
+
+    @property
+    def frame_rate(self) -> float | None:
+        """The share of frames with any point that collides, 0..1; 1 - mean(nc) of HUGSIM. None without a frame."""
+        frames = [any(frame) for frame in self.frames if frame]
+        return sum(frames) / len(frames) if frames else None
+
+
+# § Where a plan wants the vehicle to be, with headings. World frame: metres, radians.
+
+PlanReading = Literal["all", "hugsim"]
+"""Which points of a plan count. `all`: all of them; the last has the heading with which it is reached. `hugsim`: all
+but the last, which has no next point to take its heading from: UniAD's six points become five, the paper's N."""
+
+
+def planned_collisions(
+    rollout: Rollout, occupied: Touchable | None = None, reading: PlanReading = "all"
+) -> PlannedCollisions:
+    """Put the vehicle's box at every planned point and see whether it touches anybody or anything.
+
+    Point j of a frame is compared with where the road users really were (j + 1) times the plan's spacing later; beyond
+    the end of the run with where they were last. `occupied` adds the background; without it only road users count.
+    Sources: the paper's equation of C and its c_ij; futures after HUGSIM's `score_calculator`, see `future_times_s`.
+    """
+    vehicle, traffic = run_setting(rollout).vehicle, LoggedTraffic(rollout)
+    frames: list[tuple[bool, ...]] = []
+    for step in planned_frames(rollout):
+        poses = planned_poses(step, reading)
+        times = future_times_s(rollout, step, len(poses), reading)
+        frames.append(tuple(pose_hits(vehicle, poses, times, traffic, occupied)))
+    return PlannedCollisions(tuple(frames))
+
+
+def future_times_s(rollout: Rollout, step: RolloutStep, count: int, reading: PlanReading) -> Float64[np.ndarray, " n"]:
+    """Return the times of a plan's points, at which others are looked up.
+
+    HUGSIM goes through the log in steps of the plan's spacing, and beyond its end uses the last that it has met: up to
+    one spacing before the end of the run, where `all` uses the end itself.
+    """
+    times = step.time_s + rollout.spacing_s * np.arange(1, count + 1)
+    if reading == "hugsim":
+        left = rollout.steps[-1].time_s - step.time_s
+        times = np.minimum(times, step.time_s + rollout.spacing_s * np.floor(left / rollout.spacing_s + 1e-6))
+    return times
+
+
+# § Where the other road users of a roll-out really were, at any time of it. World frame, metres.
+
+
+class LoggedTraffic:
+    """Boxes of the road users over the time of a roll-out."""
+
+    def __init__(self, rollout: Rollout) -> None:
+        self._times = np.array([each.time_s for each in rollout.steps])
+        self._records = [each.road_users for each in rollout.steps]
+        self._users = rollout.users
+        self._known: dict[float, tuple[PlanarBox, ...]] = {}
+
+    def at(self, time_s: float) -> tuple[PlanarBox, ...]:
+        """Return who was there at a time: between two moments in between, after the last where it was then.
+
+        HUGSIM looks up futures in the same way (its steps of 0.25 s meet the 0.5 s of a plan), and uses the last moment
+        for what lies beyond the end of the run.
+        """
+        key = round(float(np.clip(time_s, self._times[0], self._times[-1])), 9)
+        if key not in self._known:
+            self._known[key] = self._looked_up(key)
+        return self._known[key]
+
+    def _looked_up(self, time_s: float) -> tuple[PlanarBox, ...]:
+        later = int(np.searchsorted(self._times, time_s - _SAME_S))
+        if later == len(self._times):
+            later -= 1
+        if abs(self._times[later] - time_s) <= _SAME_S or later == 0:
+            return user_boxes(self._records[later], self._users)
+        share = (time_s - self._times[later - 1]) / (self._times[later] - self._times[later - 1])
+        after = {each.id: each for each in self._records[later]}
+        both = [each for each in self._records[later - 1] if each.id in after]
+        between = [_between(each, after[each.id], float(share)) for each in both]
+        return user_boxes(between, self._users)
+
+
+def pose_hits(
+    vehicle: Vehicle,
+    poses: Float64[np.ndarray, "n 3"],
+    times_s: Sequence[float] | Float64[np.ndarray, " n"],
+    traffic: LoggedTraffic,
+    occupied: Touchable | None,
+) -> Iterator[bool]:
+    """Yield whether the vehicle would touch anybody, or the background, with its rear axle at each pose and time."""
+    for pose, time_s in zip(poses, times_s, strict=True):
+        box = ego_box(vehicle, pose)
+        touched = any(box.touches(other) for other in traffic.at(float(time_s)))
+        yield touched or (occupied is not None and occupied.touches(box))
+
+
+STANDING_M = 1.0
+"""A plan that ends nearer than this to the vehicle has the vehicle's heading throughout (HUGSIM's scorer)."""
+
+_APART_M = 0.01
+"""Points nearer than this to each other have no direction."""
+
+
+def ego_pose(ego: EgoRecord) -> Float64[np.ndarray, "3"]:
+    """Return x, y and heading of the rear axle at a moment."""
+    return np.array([ego.x_m, ego.y_m, ego.yaw_rad])
+
+
+def ego_box(vehicle: Vehicle, pose: Float64[np.ndarray, "3"]) -> PlanarBox:
+    """Return the box on the ground that the vehicle takes up with its rear axle at a pose."""
+    return vehicle_box(vehicle, VehicleState(*(float(each) for each in pose)))
+
+
+def planned_poses(step: RolloutStep, reading: PlanReading = "all") -> Float64[np.ndarray, "n 3"]:
+    """Return x, y and heading of the rear axle at each planned point; n is 0 where there is no plan.
+
+    A point's heading is the direction to the next point, which is HUGSIM's finite difference. Under `hugsim` two points
+    in one place have heading 0 in the world, as there; under `all` they keep the heading before. The rule for plans
+    that stand (`STANDING_M`) holds in both.
+    """
+    start = ego_pose(step.ego)
+    points = VehicleState(*start).to_world(np.array(step.plan, np.float64).reshape(-1, 2))
+    poses = _with_next_direction(points) if reading == "hugsim" else _with_directions(points, float(start[2]))
+    if len(poses) and np.linalg.norm(poses[-1, :2] - start[:2]) < STANDING_M:
+        poses[:, 2] = start[2]
+    return poses
+
+
+def with_start(step: RolloutStep, poses: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n+1 3"]:
+    """Return planned poses after the pose of the vehicle itself."""
+    return np.concatenate([ego_pose(step.ego)[None], poses])
+
+
+def _with_next_direction(points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "m 3"]:
+    if len(points) < 2:
+        return np.zeros((0, 3))
+    steps = np.diff(points, axis=0)
+    return np.column_stack([points[:-1], np.arctan2(steps[:, 1], steps[:, 0])])
+
+
+def _with_directions(points: Float64[np.ndarray, "n 2"], yaw_rad: float) -> Float64[np.ndarray, "n 3"]:
+    headings: list[float] = []
+    for index in range(len(points)):
+        i = min(index, len(points) - 2)
+        step = points[i + 1] - points[i] if len(points) > 1 else np.zeros(2)
+        if np.linalg.norm(step) >= _APART_M:
+            yaw_rad = float(np.arctan2(step[1], step[0]))
+        headings.append(yaw_rad)
+    return np.column_stack([points, np.array(headings)]) if len(points) else np.zeros((0, 3))
+
+
+# § Time to collision with who is ahead, and the gap to it, at every moment of a run (the paper's TTC).
+
+LONGEST_S = 10.0
+"""No time to collision is longer: the paper's "no collision risk"."""
+
+Distance = Literal["bumper", "center"]
+"""d_x of the paper, which does not define it. `bumper`: from the front bumper to the nearest part of the other that
+lies in the lane; `center`: from middle to middle, along the heading."""
+
+_LANE_M = 1000.0
+
+
+class LeadAhead(NamedTuple):
+    """Somebody in the way, from the ego vehicle."""
+
+    gap_m: float
+    """From the front bumper to its nearest part within the swept lane; 0 or less where they overlap."""
+    center_m: float
+    """From middle to middle along the ego vehicle's heading."""
+    speed_m_s: float
+    """Its speed along the ego vehicle's heading; below 0 it comes towards it."""
+
+
+def leads_ahead(rollout: Rollout, step: RolloutStep, vehicle: Vehicle) -> list[LeadAhead]:
+    """Return who is in the ego vehicle's way at a moment, and not behind it.
+
+    The way is the lane that the vehicle would sweep straight on: as wide as itself, along its heading. Who is beside it
+    is not in the way; who overlaps the vehicle's box is, with a gap of 0.
+    """
+    own = ego_box(vehicle, ego_pose(step.ego))
+    lane = shapely.box(-vehicle.length_m / 2, -vehicle.width_m / 2, _LANE_M, vehicle.width_m / 2)
+    leads: list[LeadAhead] = []
+    for record, box in zip(step.road_users, user_boxes(step.road_users, rollout.users), strict=True):
+        seen = _seen_from(own, box)
+        within = lane.intersection(seen.polygon)
+        if within.is_empty or within.area == 0:
+            continue
+        gap = max(float(within.bounds[0]) - vehicle.length_m / 2, 0.0)
+        along = record.speed_m_s * float(np.cos(record.yaw_rad - step.ego.yaw_rad))
+        leads.append(LeadAhead(gap, seen.x_m, along))
+    return leads
+
+
+def gaps_m(rollout: Rollout) -> Float64[np.ndarray, " n"]:
+    """Return the bumper gap to the nearest who is ahead at every moment, metres; infinite where nobody is."""
+    vehicle = run_setting(rollout).vehicle
+    leads = [leads_ahead(rollout, step, vehicle) for step in rollout.steps]
+    return np.array([min((each.gap_m for each in ahead), default=np.inf) for ahead in leads])
+
+
+def times_to_collision_s(rollout: Rollout, distance: Distance = "bumper") -> Float64[np.ndarray, " n"]:
+    """Return the time to collision at every moment, seconds, 0..10.
+
+    TTC = min(d_x / (v_SUT - v_BV), 10), the least over who is ahead (paper, equation of TTC); v_BV is the other's speed
+    along the ego vehicle's heading. It is 10 where nobody is ahead or the other is not slower, and 0 where they overlap
+    or where anything was hit. The background counts only when it is hit.
+    """
+    vehicle = run_setting(rollout).vehicle
+    return np.array([_time_s(step, leads_ahead(rollout, step, vehicle), distance) for step in rollout.steps])
+
+
+def _time_s(step: RolloutStep, leads: list[LeadAhead], distance: Distance) -> float:
+    if step.collision is not None or any(lead.gap_m <= 0 for lead in leads):
+        return 0.0
+    times = [LONGEST_S]
+    for lead in leads:
+        closing = step.ego.speed_m_s - lead.speed_m_s
+        if closing > 0:
+            times.append(max(lead.gap_m if distance == "bumper" else lead.center_m, 0.0) / closing)
+    return min(times)
+
+
+def _seen_from(own: PlanarBox, other: PlanarBox) -> PlanarBox:
+    """Return a box in the frame of another (x forward, y left, around its middle)."""
+    away = np.array([other.x_m - own.x_m, other.y_m - own.y_m])
+    cosine, sine = np.cos(own.yaw_rad), np.sin(own.yaw_rad)
+    x, y = float(away @ (cosine, sine)), float(away @ (-sine, cosine))
+    return PlanarBox(x, y, other.yaw_rad - own.yaw_rad, other.length_m, other.width_m)
+
+
+_SAME_S = 1e-6
+
+
+def user_boxes(records: Sequence[UserRecord], users: Mapping[str, UserModel]) -> tuple[PlanarBox, ...]:
+    """Return the boxes on the ground of road users at a moment, in their order."""
+    return tuple(
+        PlanarBox(each.x_m, each.y_m, each.yaw_rad, users[each.id].size_lwh_m[0], users[each.id].size_lwh_m[1])
+        for each in records
+    )
+
+
+def _between(before: UserRecord, after: UserRecord, share: float) -> UserRecord:
+    return UserRecord(
+        id=before.id,
+        x_m=before.x_m + share * (after.x_m - before.x_m),
+        y_m=before.y_m + share * (after.y_m - before.y_m),
+        z_m=before.z_m + share * (after.z_m - before.z_m),
+        yaw_rad=before.yaw_rad + share * wrapped(after.yaw_rad - before.yaw_rad),
+        speed_m_s=before.speed_m_s + share * (after.speed_m_s - before.speed_m_s),
+    )

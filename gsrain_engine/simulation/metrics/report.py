@@ -1,0 +1,125 @@
+"""The report of drives as one page: results, motion over time, each run from above, and how it was made."""
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import metadata
+
+import msgspec
+
+from ...evaluation.detection.figures import pixels
+from ...evaluation.report import ReportFigure, ReportTable, RunReport
+from ..rollout import Rollout
+from ..route import Route
+from .figures import birds_eye_sheet, kinematics_figure
+from .summary import Comparison, Run, compare, results_table
+
+_MOST_FROM_ABOVE = 8
+
+_PACKAGES = ("gsrain", "numpy", "scipy", "shapely", "numba")
+
+_OVER_TIME = (
+    "One colour an intensity; a cross is a collision. The acceleration is that over each step. Several seeds: the mean "
+    "over the runs that still go on, with the band of its 95 % bootstrap interval."
+)
+
+_FROM_ABOVE = "In the frame of the start; boxes every second, darker with time; dots are planned points."
+
+
+def drive_report(
+    runs: Sequence[Run],
+    routes: Mapping[str, Route] | None = None,
+    settings: Mapping[str, object] | None = None,
+    notes: tuple[str, ...] = (),
+) -> RunReport:
+    """Make the page of runs. `routes` are by the scene's name; `settings` come before what the runs say themselves.
+
+    Runs without a roll-out are in the tables only. Write it with `write_report`.
+    """
+    comparisons = compare(runs)
+    table = results_table(comparisons)
+    rollouts = [run.rollout for run in runs if run.rollout is not None]
+    return RunReport(
+        title="Driving in rain: " + ", ".join(dict.fromkeys(each.scenario for each in comparisons)),
+        settings={**(settings or {}), **_facts(runs, rollouts)},
+        figures=tuple(figure for each in comparisons for figure in _figures(each, (routes or {}).get(each.scene))),
+        tables=(ReportTable("Results", table.columns, table.rows, definitions=table.definitions), _runs_table(runs)),
+        headlines=_headlines(runs),
+        notes=notes,
+        held_out=False,
+    )
+
+
+def _headlines(runs: Sequence[Run]) -> dict[str, str]:
+    return {
+        "runs": str(len(runs)),
+        "collisions": str(sum(run.metrics.collision for run in runs)),
+        "least time to collision": f"{min(run.metrics.min_ttc_s for run in runs):.2f} s" if runs else "-",
+    }
+
+
+def _figures(comparison: Comparison, route: Route | None) -> list[ReportFigure]:
+    """Over time, and from above the first run of each weather, so far as there are roll-outs."""
+    figures: list[ReportFigure] = []
+    if all(run.rollout is not None for run in comparison.runs):
+        figures.append(ReportFigure(comparison.title, pixels(kinematics_figure(comparison)), _OVER_TIME))
+    first = [weather.runs[0].rollout for weather in comparison.weathers]
+    rollouts = [each for each in first if each is not None][:_MOST_FROM_ABOVE]
+    if rollouts:
+        image = pixels(birds_eye_sheet(rollouts, route))
+        figures.append(ReportFigure(f"{comparison.title}, from above", image, _FROM_ABOVE))
+    return figures
+
+
+_COLUMNS = {
+    "seed": "seed", "end": "end", "duration_s": "for (s)", "collided_with": "hit", "min_ttc_s": "TTC (s)",
+    "min_gap_m": "gap (m)", "planned_point_collision_rate": "C", "planned_frame_collision_rate_hugsim": "C (frames)",
+    "comfort_planned": "S (pl.)", "comfort_executed": "S (ex.)", "pdms": "PDMS", "hdscore": "HD-score",
+}  # fmt: skip
+
+
+def _runs_table(runs: Sequence[Run]) -> ReportTable:
+    rows = [
+        (
+            run.metrics.scenario,
+            run.metrics.agent,
+            run.metrics.intensity_mm_h,
+            *(_cell(getattr(run.metrics, key), key) for key in _COLUMNS),
+        )
+        for run in runs
+    ]
+    return ReportTable(
+        "Every run", ("scenario", "agent", "R (mm/h)", *_COLUMNS.values()), tuple(rows),
+        caption="All numbers, those of runs with a collision too. HD-score as in HUGSIM; the drivable area counts "
+        "where it is known.",
+    )  # fmt: skip
+
+
+def _cell(value: str | float | None, key: str) -> str | float | None:
+    return "-" if value is None and key == "collided_with" else value
+
+
+def _facts(runs: Sequence[Run], rollouts: Sequence[Rollout]) -> dict[str, object]:
+    """What the runs say of themselves: scenes, seeds, steps, hashes, versions."""
+    versions = {name: metadata.version(name) for name in _PACKAGES}
+    for rollout in rollouts:
+        versions.update(rollout.software)
+    return {
+        "scenes": _words(run.metrics.scene for run in runs),
+        "scene hashes": _words(each.scene_hash[:16] for each in rollouts if each.scene_hash),
+        "intensities (mm/h)": _words(f"{run.metrics.intensity_mm_h:g}" for run in runs),
+        "seeds": _words(str(run.metrics.seed) for run in runs),
+        "agents": _words(run.metrics.agent for run in runs),
+        "step (s)": _words(f"{each.step_s:g}" for each in rollouts),
+        "time between planned points (s)": _words(f"{each.spacing_s:g}" for each in rollouts),
+        "SHA-256 of the roll-outs": _words(rollout_hash(each)[:16] for each in rollouts),
+        "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
+    }
+
+
+def rollout_hash(rollout: Rollout) -> str:
+    """SHA-256 of everything in a roll-out; the same run has the same everywhere."""
+    return hashlib.sha256(msgspec.json.encode(rollout, order="sorted")).hexdigest()
+
+
+def _words(values: Iterable[str]) -> str:
+    return ", ".join(dict.fromkeys(values))

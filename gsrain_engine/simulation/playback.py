@@ -1,0 +1,106 @@
+"""A roll-out as it is played: everybody at any moment, between its steps too. World frame, metres."""
+
+from bisect import bisect_right
+
+import msgspec
+import numpy as np
+from jaxtyping import Float64
+
+from ..scene.scene import RigCamera, Scene
+from .agents.base import Rig
+from .geometry import wrapped
+from .ground import ground_of
+from .rollout import Rollout, RolloutStep
+from .scenario import Scenario
+from .sensors import of_width, rig_cameras
+from .simulation import RoadScene
+from .traffic.appearance import user_look
+from .traffic.base import RoadUser
+from .vehicle import VehicleState
+
+
+class PlayedRollout:
+    """A roll-out in the scene that it was driven in. Times are seconds since the scenario began."""
+
+    def __init__(self, rollout: Rollout, scene: Scene) -> None:
+        """Put a roll-out into a scene.
+
+        Raises ValueError where the scene lacks what the scenario shows, or the roll-out's scenario can't be read.
+        """
+        try:
+            self.scenario = msgspec.convert(rollout.scenario, Scenario)
+        except msgspec.ValidationError as error:
+            raise ValueError(f"the roll-out's scenario: {error}") from None
+        self.rollout = rollout
+        self.base = scene
+        """The scene as it was given, with its own actors."""
+        cameras = tuple(of_width(each, self.scenario.picture_width_px) for each in _cameras(scene, self.scenario.rig))
+        self.rig = Rig(self.scenario.vehicle, cameras, ground_of(scene).rig_height_m)
+        self._road = RoadScene(scene, {user.id: user_look(user.model, scene) for user in self.scenario.road_users})
+        self._times = [step.time_s for step in rollout.steps]
+
+    @property
+    def end_s(self) -> float:
+        return self._times[-1]
+
+    def step(self, time_s: float) -> RolloutStep:
+        """Return the step that a moment belongs to: the last one that has begun."""
+        return self.rollout.steps[max(bisect_right(self._times, time_s) - 1, 0)]
+
+    def state(self, time_s: float) -> VehicleState:
+        before, after, part = self._around(time_s)
+        a, b = before.ego, after.ego
+        return VehicleState(
+            _mixed(a.x_m, b.x_m, part), _mixed(a.y_m, b.y_m, part), _turned(a.yaw_rad, b.yaw_rad, part),
+            _mixed(a.speed_m_s, b.speed_m_s, part), _mixed(a.steer_rad, b.steer_rad, part),
+        )  # fmt: skip
+
+    def users(self, time_s: float) -> tuple[RoadUser, ...]:
+        """Return who is there at a moment; who comes or goes in a step is there until the step has passed."""
+        before, after, part = self._around(time_s)
+        later = {user.id: user for user in after.road_users}
+        users: list[RoadUser] = []
+        for user in before.road_users:
+            model, then = self.rollout.users[user.id], later.get(user.id, user)
+            users.append(
+                RoadUser(
+                    user.id, model.class_name, model.size_lwh_m, _mixed(user.x_m, then.x_m, part),
+                    _mixed(user.y_m, then.y_m, part), _turned(user.yaw_rad, then.yaw_rad, part),
+                    _mixed(user.speed_m_s, then.speed_m_s, part), _mixed(user.z_m, then.z_m, part),
+                )
+            )  # fmt: skip
+        return tuple(users)
+
+    def rig_to_world(self, time_s: float) -> Float64[np.ndarray, "4 4"]:
+        """Return the pose of the ego vehicle's rig (x forward, y left, z up, above the rear axle)."""
+        before, after, part = self._around(time_s)
+        return self.state(time_s).rig_to_world(_mixed(before.ego.z_m, after.ego.z_m, part) + self.rig.height_m)
+
+    def scene(self, time_s: float) -> Scene:
+        return self._road.at(self.rig_to_world(time_s), self.users(time_s))
+
+    def scene_time_s(self, time_s: float) -> float:
+        """Return the scene's own time of a moment, by which its rain falls."""
+        return self.scenario.start_s + time_s
+
+    def _around(self, time_s: float) -> tuple[RolloutStep, RolloutStep, float]:
+        """Steps before and after a moment, and how far it is from the one to the other, 0..1."""
+        lower = max(bisect_right(self._times, time_s) - 1, 0)
+        upper = min(lower + 1, len(self._times) - 1)
+        span = self._times[upper] - self._times[lower]
+        part = float(np.clip((time_s - self._times[lower]) / span, 0, 1)) if span > 0 else 0.0
+        return self.rollout.steps[lower], self.rollout.steps[upper], part
+
+
+def _cameras(scene: Scene, rig: str | None) -> tuple[RigCamera, ...]:
+    """Return the rig that was driven with; the scene's first where it was made for the drive alone."""
+    return rig_cameras(scene, rig if rig in scene.rigs else None)
+
+
+def _mixed(before: float, after: float, part: float) -> float:
+    return (1 - part) * before + part * after
+
+
+def _turned(before: float, after: float, part: float) -> float:
+    """Between two angles, the shorter way."""
+    return before + part * wrapped(after - before)

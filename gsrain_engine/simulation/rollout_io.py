@@ -1,0 +1,226 @@
+"""Roll-out files of every form that can be read back, by the ending of their names."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from ..safe_io.errors import converted
+from ..safe_io.limits import check_file
+from ..safe_io.text_files import printable, read_whole
+from ..scene.files import whole_file
+from .rollout import EgoRecord, Rollout, RolloutStep, UserRecord
+
+ROLLOUT_SUFFIXES = (".jsonl", ".parquet")
+
+
+def read_any_rollout(path: Path) -> Rollout:
+    """Read a roll-out from JSON lines, or from Parquet where the name ends so.
+
+    Raises ValueError, with the file, for what is none, and where a library is missing that reads it.
+    """
+    if path.suffix.lower() != ".parquet":
+        return read_rollout(path)
+    try:
+        return read_rollout_parquet(path)
+    except ImportError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+# § Roll-outs as files: JSON lines, what is the same for the whole drive first, then one line a moment.
+
+_MOST_BYTES = 1 << 30
+
+_VERSION = 1
+
+_MOMENTS = "moments"
+"""How many lines follow the first: a file that is torn between two lines shows it by nothing else."""
+
+
+def write_rollout(path: Path | str, rollout: Rollout) -> None:
+    """Write a roll-out; the file is whole or not there at all. The same roll-out gives the same bytes."""
+    header = msgspec.structs.asdict(rollout)
+    header[_MOMENTS] = len(header.pop("steps"))
+    with whole_file(Path(path)) as beside, beside.open("wb") as file:
+        for line in (header, *rollout.steps):
+            file.write(msgspec.json.encode(line, order="sorted") + b"\n")
+
+
+def read_rollout(path: Path | str) -> Rollout:
+    """Read a roll-out.
+
+    Raises ValueError, with the file and the line, for what is none, for a torn file, and for one of a newer version.
+    """
+    path = Path(path)
+    first, *rest = read_whole(path, _MOST_BYTES).splitlines() or [b""]
+    header = _header(path, first)
+    count = header.pop(_MOMENTS, None)
+    steps = [_step(path, number, line) for number, line in enumerate(rest, start=2)]
+    if not steps:
+        raise ValueError(f"{path}: a roll-out of no moment: it has been torn off after its first line")
+    if count not in (None, len(steps)):
+        raise ValueError(f"{path}: a torn roll-out: its first line says {count} moments, {len(steps)} follow")
+    try:
+        rollout = msgspec.convert({**header, "steps": tuple(steps)}, Rollout)
+    except msgspec.ValidationError as error:
+        raise ValueError(f"{path}: line 1: {printable(error)}") from None
+    check_users(path, rollout)
+    return rollout
+
+
+def check_users(path: Path, rollout: Rollout) -> None:
+    """Raise ValueError where a moment has somebody in it whom the roll-out does not describe."""
+    for step in rollout.steps:
+        for user in step.road_users:
+            if user.id not in rollout.users:
+                raise ValueError(
+                    f"{path}: step {step.step}: road user {printable(repr(user.id))} is not among its `users`"
+                )
+
+
+def _header(path: Path, line: bytes) -> dict[str, Any]:
+    try:
+        header = msgspec.json.decode(line, type=dict[str, Any])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        raise ValueError(f"{path}: not a roll-out: its first line is no JSON object") from None
+    version = header.get("version")
+    if not isinstance(version, int) or version < 1:
+        raise ValueError(f"{path}: not a roll-out: its first line has no `version`")
+    if version > _VERSION:
+        raise ValueError(f"{path}: a roll-out of version {printable(version)}; this program reads up to {_VERSION}")
+    return header
+
+
+def _step(path: Path, number: int, line: bytes) -> RolloutStep:
+    try:
+        return msgspec.json.decode(line, type=RolloutStep)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise ValueError(f"{path}: line {number}: {printable(error)}") from None
+
+
+# § Roll-outs as Parquet, one row a moment: for pandas, polars and DuckDB, and back without loss.
+
+_HEADER = b"gsrain.rollout"
+"""Key of the file's metadata: what is the same for the whole drive, as JSON."""
+
+_PARQUET_VERSION = 1
+
+_MOST_ROWS, _MAX_PARQUET_BYTES = 1_000_000, 1 << 30
+
+_MISSING = "Parquet files of roll-outs need pyarrow: pip install 'gsrain[drive]'"
+
+_OF_EGO = tuple(EgoRecord.__struct_fields__)
+
+
+def write_rollout_parquet(path: Path, rollout: Rollout) -> None:
+    """Write a roll-out; the file is whole or not there at all. The same roll-out gives the same bytes.
+
+    Columns: step, time_s, ego_* (one each of `EgoRecord`), route_left_m, route_completion, collision, plan (list of x
+    and y), road_users (list of records), notes (JSON). Raises ImportError, with what to install, where pyarrow is
+    missing.
+    """
+    arrow, parquet = _pyarrow()
+    header = msgspec.structs.asdict(rollout)
+    del header["steps"]
+    schema = _schema(arrow).with_metadata({_HEADER: msgspec.json.encode(header, order="sorted")})
+    table = arrow.Table.from_pylist([_row(step) for step in rollout.steps], schema=schema)
+    with whole_file(path) as beside:
+        parquet.write_table(table, beside, compression="zstd")
+
+
+def read_rollout_parquet(path: Path) -> Rollout:
+    """Read a roll-out that `write_rollout_parquet` has written.
+
+    Raises ValueError, with the file, for what is none, and for one of a newer version; ImportError where pyarrow is
+    missing.
+    """
+    _pyarrow()
+    header, rows = _header_and_rows(path)
+    try:
+        plain = msgspec.json.decode(header)
+        version = plain["version"]
+        is_newer = version > _PARQUET_VERSION
+        if not rows and not is_newer:
+            raise ValueError("a roll-out of no moment")
+        rollout = None if is_newer else converted({**plain, "steps": [_parquet_step(row) for row in rows]}, Rollout)
+    except (ValueError, AttributeError, KeyError, RecursionError, TypeError) as error:
+        raise ValueError(f"{path}: a roll-out that can't be read: {printable(error)}") from None
+    if rollout is None:
+        raise ValueError(
+            f"{path}: a roll-out of version {printable(version)}; this program reads up to {_PARQUET_VERSION}"
+        )
+    check_users(path, rollout)
+    return rollout
+
+
+def _header_and_rows(path: Path) -> tuple[bytes, list[dict[str, Any]]]:
+    arrow, parquet = _pyarrow()
+    check_file(path)  # what keeps it from being opened is no damage
+    try:
+        with parquet.ParquetFile(path) as file:
+            _check_size(file.metadata)
+            header = (file.metadata.metadata or {}).get(_HEADER)
+            rows = [] if header is None else file.read().to_pylist()
+    except (arrow.ArrowException, OSError, OverflowError, ValueError) as error:  # damage comes as any of them
+        raise ValueError(f"{path}: not a Parquet file of a roll-out: {printable(error)}") from None
+    if header is None:
+        raise ValueError(f"{path}: a Parquet file, but not of a roll-out: its metadata has no {_HEADER.decode()}")
+    return header, rows
+
+
+def _check_size(metadata: Any) -> None:
+    """Raise ValueError before columns are unpacked that are larger than a roll-out's, however small the file.
+
+    Nothing is asked of single columns: Arrow ends the whole process over damage there.
+    """
+    size = sum(metadata.row_group(i).total_byte_size for i in range(metadata.num_row_groups))
+    if metadata.num_rows > _MOST_ROWS or size > _MAX_PARQUET_BYTES:
+        raise ValueError(f"{metadata.num_rows} rows of {size / 1e9:.1f} GB: too large")
+
+
+def _pyarrow() -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ModuleNotFoundError:
+        raise ImportError(_MISSING) from None
+    return pyarrow, parquet
+
+
+def _schema(arrow: Any) -> Any:
+    number = arrow.float64()
+    point = arrow.struct([("x_m", number), ("y_m", number)])
+    user = [("id", arrow.string()), *((name, number) for name in UserRecord.__struct_fields__ if name != "id")]
+    return arrow.schema(
+        [
+            ("step", arrow.int64()),
+            ("time_s", number),
+            *((f"ego_{name}", number) for name in _OF_EGO),
+            ("route_left_m", number),
+            ("route_completion", number),
+            ("collision", arrow.string()),
+            ("plan", arrow.list_(point)),
+            ("road_users", arrow.list_(arrow.struct(user))),
+            ("notes", arrow.string()),
+        ]
+    )
+
+
+def _row(step: RolloutStep) -> dict[str, Any]:
+    return {
+        "step": step.step,
+        "time_s": step.time_s,
+        **{f"ego_{name}": getattr(step.ego, name) for name in _OF_EGO},
+        "route_left_m": step.route_left_m,
+        "route_completion": step.route_completion,
+        "collision": step.collision,
+        "plan": [{"x_m": x, "y_m": y} for x, y in step.plan],
+        "road_users": [msgspec.structs.asdict(user) for user in step.road_users],
+        "notes": msgspec.json.encode(step.notes, order="sorted").decode(),
+    }
+
+
+def _parquet_step(row: dict[str, Any]) -> dict[str, Any]:
+    ego = {name: row.pop(f"ego_{name}") for name in _OF_EGO}
+    plan = [(point["x_m"], point["y_m"]) for point in row.pop("plan")]
+    return {**row, "ego": ego, "plan": plan, "notes": msgspec.json.decode(row["notes"])}

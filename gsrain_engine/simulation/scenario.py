@@ -1,0 +1,229 @@
+"""A scenario: where the drive begins, who else is on the road, what the weather is, and when it ends."""
+
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from ..rain.settings import Rain
+from ..scene.scene import Actor, Scene
+from .controller_base import ControllerSettings
+from .ground import Ground
+from .rollout import BACKGROUND
+from .route import Route
+from .traffic.appearance import UserLook, user_look
+from .traffic.base import EGO, Behaviour, RoadUser, Surroundings
+from .traffic.models import BehaviourSettings
+from .traffic.tracks import RecordedTrack
+from .vehicle import Vehicle, VehicleState
+
+_Side = Annotated[float, Meta(gt=0, le=100)]
+
+_TAKEN = (EGO, BACKGROUND)
+"""Ids by which roll-outs mean something else."""
+
+
+class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A road user that a scenario puts on the road; its place is measured along the ego vehicle's route."""
+
+    id: Annotated[str, Meta(min_length=1, title="Name")]
+    model: Annotated[
+        str,
+        Meta(
+            title="Model",
+            description="What it looks like: hatchback, saloon, estate, van or truck, with a paint if wanted "
+            "(van/red); actor:ID (one of the scene); or a file of Gaussians (metres, x forward, y left, z up).",
+        ),
+    ] = "saloon"
+    class_name: Annotated[str, Meta(title="Class")] = "car"
+    size_lwh_m: Annotated[
+        tuple[_Side, _Side, _Side] | None,
+        Meta(title="Size", description="Length, width and height; none takes the model's.", extra={"unit": "m"}),
+    ] = None
+    placed: Annotated[
+        Literal["along-route", "straight"],
+        Meta(title="Measured", description="Along the ego vehicle's route, or straight from where it starts and as "
+             "it is turned there."),
+    ] = "along-route"  # fmt: skip
+    ahead_m: Annotated[
+        float,
+        Meta(ge=-500, le=500, title="Ahead", description="From the ego vehicle's middle to its middle, at the start.",
+             extra={"unit": "m"}),
+    ] = 0.0  # fmt: skip
+    left_m: Annotated[
+        float,
+        Meta(ge=-100, le=100, title="Left", description="Of the ego vehicle's route; straight: of itself.",
+             extra={"unit": "m"}),
+    ] = 0.0  # fmt: skip
+    turned_deg: Annotated[
+        float,
+        Meta(ge=-180, le=180, title="Turned", description="To the left, from the route's direction; straight: from "
+             "the ego vehicle's.", extra={"unit": "deg"}),
+    ] = 0.0  # fmt: skip
+    speed_m_s: Annotated[float, Meta(ge=0, le=60, title="Speed", extra={"unit": "m/s"})] = 0.0
+    behaviour: BehaviourSettings
+
+
+class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One closed-loop test. Times are seconds since it began unless they say otherwise."""
+
+    name: Annotated[str, Meta(min_length=1, title="Name")]
+    description: str = ""
+    scene: Annotated[str, Meta(title="Scene", description="Scene file or folder, or street (the built-in one).")] = (
+        "street"
+    )
+    rig: Annotated[str | None, Meta(title="Rig", description="Of the scene's; none takes its first.")] = None
+    picture_width_px: Annotated[
+        int, Meta(ge=64, le=4096, multiple_of=2, title="Picture width", extra={"unit": "px"})
+    ] = 800
+    start_s: Annotated[
+        float,
+        Meta(title="Start", description="Scene time at which it begins: the ego vehicle starts where it then was.",
+             extra={"unit": "s"}),
+    ] = 0.0  # fmt: skip
+    ahead_m: Annotated[
+        float, Meta(ge=-500, le=500, title="Ahead of there", description="Along the route.", extra={"unit": "m"})
+    ] = 0.0
+    left_m: Annotated[float, Meta(ge=-20, le=20, title="Left of the route", extra={"unit": "m"})] = 0.0
+    turned_deg: Annotated[
+        float,
+        Meta(ge=-180, le=180, title="Turned", description="From the route's direction, to the left.",
+             extra={"unit": "deg"}),
+    ] = 0.0  # fmt: skip
+    speed_m_s: Annotated[float, Meta(ge=0, le=60, title="Initial speed", extra={"unit": "m/s"})] = 10.0
+    keep: Annotated[
+        tuple[str, ...] | Literal["all"],
+        Meta(title="Actors that stay", description="Of the scene's own actors, which follow their tracks."),
+    ] = ()
+    road_users: tuple[ScenarioUser, ...] = ()
+    rain: Rain = Rain()
+    vehicle: Vehicle = Vehicle()
+    controller: ControllerSettings = ControllerSettings()
+    step_s: Annotated[float, Meta(gt=0, le=1, title="Step", description="HUGSIM's is 0.25 s.", extra={"unit": "s"})] = (
+        0.25
+    )
+    duration_s: Annotated[float, Meta(gt=0, le=600, title="Longest duration", extra={"unit": "s"})] = 15.0
+    leave_m: Annotated[
+        float,
+        Meta(gt=0, le=1000, title="Off the route", description="Farther from the route ends it.", extra={"unit": "m"}),
+    ] = 10.0
+
+    def __post_init__(self) -> None:
+        ids = [user.id for user in self.road_users]
+        doubled = next((each for each in ids if ids.count(each) > 1), None)
+        if doubled is not None:
+            raise ValueError(f"two road users are called {doubled!r}")
+        taken = next((each for each in ids if each in _TAKEN), None)
+        if taken is not None:
+            raise ValueError(f"a road user can't be called {taken!r}: roll-outs mean something else by it")
+
+
+# § Where everybody is when a scenario begins. World frame, metres.
+
+
+def start_along_m(scenario: Scenario, scene: Scene, route: Route) -> float:
+    """Return how far along the route the ego vehicle starts.
+
+    Raises ValueError where the scene has no ego vehicle at that time, or its drive is over by then.
+    """
+    last_s = scene.ego.times[-1] if scene.ego is not None and len(scene.ego.times) else np.inf
+    if not scenario.start_s <= last_s:
+        raise ValueError(f"scenario {scenario.name}: at {scenario.start_s:g} s the drive of scene {scene.name!r} is "
+                         f"over; it ends at {last_s:g} s")  # fmt: skip
+    pose = scene.ego_to_world(scenario.start_s)
+    if pose is None:
+        raise ValueError(f"scene {scene.name!r} has no ego vehicle at {scenario.start_s:g} s")
+    return route.nearest(float(pose[0, 3]), float(pose[1, 3])).along_m + scenario.ahead_m
+
+
+def start_state(scenario: Scenario, scene: Scene, route: Route) -> VehicleState:
+    """Return the ego vehicle as it starts; raises ValueError as `start_along_m` does."""
+    x, y, heading = route.at(start_along_m(scenario, scene, route), scenario.left_m)
+    return VehicleState(x, y, heading + float(np.radians(scenario.turned_deg)), scenario.speed_m_s)
+
+
+def start_place(user: ScenarioUser, scenario: Scenario, scene: Scene, route: Route) -> tuple[float, float, float]:
+    """Return x, y and heading of a road user's middle where the scenario puts it; raises as the others do."""
+    ahead = scenario.vehicle.middle_m + user.ahead_m
+    if user.placed == "straight":
+        ego = start_state(scenario, scene, route)
+        x, y = ego.to_world(np.array([[ahead, user.left_m]]))[0]
+        heading = ego.yaw_rad
+    else:
+        x, y, heading = route.at(start_along_m(scenario, scene, route) + ahead, user.left_m)
+    return float(x), float(y), heading + float(np.radians(user.turned_deg))
+
+
+# § Everybody else on the road during a drive: put in place, and moved on step by step.
+
+
+class Traffic:
+    """The scenario's road users, and those of the scene's own actors that it keeps."""
+
+    def __init__(self, scenario: Scenario, scene: Scene, route: Route, ground: Ground) -> None:
+        self._scenario, self._scene, self._route, self._ground = scenario, scene, route, ground
+        self.looks: dict[str, UserLook] = {user.id: user_look(user.model, scene) for user in scenario.road_users}
+        """Of the scenario's own road users, by id."""
+        self._kept = _kept(scenario, scene)
+        self._rules: dict[str, Behaviour] = {}
+        self._present: dict[str, RoadUser | None] = {}
+        self.everybody: tuple[RoadUser, ...] = ()
+        """Each road user that was ever there, as it came."""
+        self.reset()
+
+    def reset(self) -> None:
+        self.everybody = ()
+        self._rules, self._present = {}, {}
+        for user in self._scenario.road_users:
+            rule = self._rules[user.id] = user.behaviour.begin(self._scene, self._scenario.start_s)
+            begins = rule.start(self._placed(user))
+            self._present[user.id] = begins if begins is None else self._grounded(begins, user.id)
+        for actor in self._kept:
+            track = RecordedTrack(self._scene, actor, self._scenario.start_s)
+            self._rules[actor.id], self._present[actor.id] = track, track.at(0.0)
+        self._meet()
+
+    @property
+    def users(self) -> tuple[RoadUser, ...]:
+        """Who is there now."""
+        return tuple(user for user in self._present.values() if user is not None)
+
+    def advance(self, time_s: float, ego: RoadUser, dt_s: float) -> None:
+        """Move everybody on, each as all others were before."""
+        before = self._present
+        self._present = {}
+        for id, rule in self._rules.items():
+            others = tuple(user for key, user in before.items() if user is not None and key != id)
+            moved = rule.next(before[id], Surroundings(time_s, ego, others, self._route), dt_s)
+            self._present[id] = moved if moved is None else self._grounded(moved, id)
+        self._meet()
+
+    def _placed(self, user: ScenarioUser) -> RoadUser:
+        """Put a road user where the scenario says, measured from the ego vehicle's middle at the start."""
+        x, y, yaw = start_place(user, self._scenario, self._scene, self._route)
+        size = user.size_lwh_m or self.looks[user.id].size_lwh_m
+        return RoadUser(user.id, user.class_name, size, x, y, yaw, user.speed_m_s)
+
+    def _grounded(self, user: RoadUser, id: str) -> RoadUser:
+        """Stand a road user on the ground; a recorded one stays at its own height."""
+        return user if id not in self.looks else user.moved(z_m=self._ground.height_m(user.x_m, user.y_m))
+
+    def _meet(self) -> None:
+        known = {user.id for user in self.everybody}
+        self.everybody = (*self.everybody, *(user for user in self.users if user.id not in known))
+
+
+def _kept(scenario: Scenario, scene: Scene) -> tuple[Actor, ...]:
+    actors = {actor.id: actor for actor in scene.actors}
+    names = tuple(id for id, actor in actors.items() if actor.visible) if scenario.keep == "all" else scenario.keep
+    for name in names:
+        if name not in actors:
+            known = ", ".join(actors) or "none"
+            raise ValueError(
+                f"scenario {scenario.name}: scene {scene.name!r} has no actor {name!r} to keep, only {known}"
+            )
+    taken = next((user.id for user in scenario.road_users if user.id in names), None)
+    if taken is not None:
+        raise ValueError(f"scenario {scenario.name}: road user {taken!r} is called like an actor that it keeps")
+    return tuple(actors[name] for name in names)

@@ -1,0 +1,138 @@
+"""Scenario files of every kind that can be read: ours, HUGSIM's, OpenSCENARIO XML."""
+
+import os
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import yaml
+
+from ..presets import load_config, shipped_names, standing_beside
+from ..rain.calibration import calibration_names
+from ..safe_io.errors import converted
+from ..safe_io.text_files import read_whole, yaml_values
+from ..scene.files import whole_file
+from ..scene.open import STREET
+from .interop.hugsim_scenario import hugsim_scenario, is_hugsim_scenario
+from .interop.openscenario_read import read_openscenario
+from .scenario import Scenario, ScenarioUser
+from .traffic.appearance import ACTOR, vehicle_names
+from .traffic.tracks import Replay
+
+_FOLDER = "scenarios"
+
+
+def scenario_names() -> list[str]:
+    return shipped_names(_FOLDER)
+
+
+def load_scenario(name: str | Path) -> Scenario:
+    """Load a shipped scenario by name, or a scenario file by path: ours, HUGSIM's, or OpenSCENARIO XML.
+
+    Raises ValueError with the file, the field and what is allowed.
+    """
+    if str(name) not in scenario_names() and Path(name).is_file():
+        return read_scenario(Path(name))
+    return load_config(_FOLDER, name, Scenario, "scenario")
+
+
+def read_scenario(path: Path) -> Scenario:
+    """Read a file: `.xosc` is OpenSCENARIO XML, all else YAML, which shows by its keys whether it is HUGSIM's.
+
+    Files that it names are looked for in its own folder first, then in the working folder. Raises ValueError with the
+    file, the field and what is allowed.
+    """
+    return named_from_here(_read(path), path.parent)
+
+
+def _read(path: Path) -> Scenario:
+    if path.suffix.lower() == ".xosc":
+        return read_openscenario(path)
+    data = read_whole(path)
+    try:
+        values = yaml_values(data)
+        if not is_hugsim_scenario(values):
+            return converted(values, Scenario)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    return hugsim_scenario(values, path)
+
+
+# § Scenarios into YAML files: what differs from the defaults, so that a file says what its test is about.
+
+
+def save_scenario(scenario: Scenario, path: Path) -> None:
+    """Write a scenario, whole or not at all; `load_scenario` gives back the same value.
+
+    Files that it names count from the written file's folder. Raises OSError.
+    """
+    told = _told(named_from_folder(scenario, path.parent))
+    text = yaml.safe_dump(told, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
+    with whole_file(path) as beside:
+        beside.write_text(text, encoding="utf-8")
+
+
+def _told(settings: msgspec.Struct) -> dict[str, Any]:
+    """Fields that are not at their defaults; what a kind of settings is called stands first."""
+    tag = settings.__struct_config__.tag_field
+    told: dict[str, Any] = {} if tag is None else {tag: settings.__struct_config__.tag}
+    for field in msgspec.structs.fields(settings):
+        value = getattr(settings, field.name)
+        if field.default is not msgspec.NODEFAULT and value == field.default:
+            continue
+        told[field.encode_name] = _plain(value)
+    return told
+
+
+def _plain(value: object) -> Any:
+    if isinstance(value, msgspec.Struct):
+        return _told(value)
+    if isinstance(value, tuple):
+        items: tuple[object, ...] = value
+        return [_plain(each) for each in items]
+    return msgspec.to_builtins(value)
+
+
+# § Files that a scenario names: in its own file, names count from that file's folder.
+
+_Rename = Callable[[str], str]
+
+
+def named_from_here(scenario: Scenario, folder: Path) -> Scenario:
+    """Return a scenario whose file is in a folder with its names as they count from the working folder.
+
+    A name counts from the scenario's folder; where nothing stands there it stays what it is.
+    """
+    return _renamed(scenario, partial(standing_beside, folder))
+
+
+def named_from_folder(scenario: Scenario, folder: Path) -> Scenario:
+    """Return a scenario as it stands in a file of a folder: names that count from the working folder count from it."""
+
+    def there(name: str) -> str:
+        return os.path.relpath(name, folder) if not Path(name).is_absolute() and Path(name).exists() else name
+
+    return _renamed(scenario, there)
+
+
+def _renamed(scenario: Scenario, rename: _Rename) -> Scenario:
+    rain, scene = scenario.rain, scenario.scene
+    if rain.calibration not in calibration_names():
+        rain = msgspec.structs.replace(rain, calibration=rename(rain.calibration))
+    return msgspec.structs.replace(
+        scenario,
+        scene=scene if scene == STREET else rename(scene),
+        rain=rain,
+        road_users=tuple(_renamed_user(user, rename) for user in scenario.road_users),
+    )
+
+
+def _renamed_user(user: ScenarioUser, rename: _Rename) -> ScenarioUser:
+    model, behaviour = user.model, user.behaviour
+    if model.split("/")[0] not in vehicle_names() and not model.startswith(ACTOR):
+        model = rename(model)
+    if isinstance(behaviour, Replay):
+        behaviour = msgspec.structs.replace(behaviour, rollout=rename(behaviour.rollout))
+    return msgspec.structs.replace(user, model=model, behaviour=behaviour)

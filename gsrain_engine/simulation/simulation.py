@@ -1,0 +1,379 @@
+"""The loop of a drive: observe, plan, steer, move everybody, look what was hit. Deterministic, step by step."""
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import Any
+
+import msgspec
+import numpy as np
+from jaxtyping import Float64
+
+from ..backends import Backend, open_renderer
+from ..rain.settings import Rain
+from ..render.renderer import Renderer
+from ..scene.open import STREET
+from ..scene.scene import Actor, Scene, Track
+from .agents.base import FARTHEST_M, NOTHING, SPACING_S, Agent, CameraView, Needs, Observation, Plan, Rig
+from .agents.registry import AgentOptions, open_agent
+from .controllers import open_controller
+from .geometry import PlanarBox
+from .ground import Ground, ground_of
+from .metrics.summary import Run
+from .obstacles import OccupiedSpace, drivable_of, occupied_space_of
+from .rollout import BACKGROUND, EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
+from .route import OnRoute, Route, recorded_route
+from .scenario import Scenario, Traffic, start_state
+from .scenario_io import load_scenario
+from .sensors import RigPictures, needed_cameras, of_width, rig_cameras
+from .traffic.appearance import UserLook, scaled
+from .traffic.base import RoadUser, ego_user
+from .vehicle import Control, Vehicle, VehicleState, limited, moved_on, vehicle_box, yaw_rate
+
+logger = logging.getLogger("gsrain")
+
+_STANDING = Control(0.0, 0.0)
+
+_SEEDS = 2**32
+
+
+class Simulation:
+    """One scenario in one scene, to be driven through by one agent, as often as wanted."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        scene: Scene,
+        needs: Needs = NOTHING,
+        renderer: Renderer | None = None,
+        seed: int | None = None,
+    ) -> None:
+        """Make ready. `renderer` is needed where an agent needs cameras; it stays open for as long as this is used.
+
+        `seed` is that of the rain; none takes the scenario's. A scenario of the built-in street in another scene is
+        told of in the log: it stays what it is in the roll-out. Raises ValueError where the scene lacks what the
+        scenario needs: a drive, a rig, a model.
+        """
+        if scenario.scene == STREET != scene.name:
+            logger.warning("scenario %s is made for the built-in street, and is driven in scene %r", scenario.name,
+                           scene.name)  # fmt: skip
+        if needs.cameras and renderer is None:
+            raise ValueError("the agent needs pictures, and there is nothing that draws them")
+        self.scenario = scenario if seed is None else _with_seed(scenario, seed)
+        self.scene = scene
+        self.route: Route = recorded_route(scene)
+        self.ground = ground_of(scene)
+        self.occupied: OccupiedSpace = occupied_space_of(scene, self.ground)
+        self._needs, self._renderer = needs, renderer
+        cameras = tuple(of_width(each, scenario.picture_width_px) for each in rig_cameras(scene, scenario.rig))
+        self._shown = needed_cameras(cameras, needs)
+        self.rig = Rig(scenario.vehicle, cameras, self.ground.rig_height_m)
+        self._controller = open_controller(scenario.controller)
+        self._traffic = Traffic(self.scenario, scene, self.route, self.ground)
+        self._road = RoadScene(scene, self._traffic.looks)
+        self._pictures: RigPictures | None = None
+        self._moment = self._start()
+        start = self._moment.state
+        self._begins_m = self.route.nearest(start.x_m, start.y_m).along_m
+        if self._begins_m >= self.route.length_m:
+            raise ValueError(
+                f"scenario {scenario.name}: it starts where the route of scene {scene.name!r} ends: nothing is left to "
+                "be driven"
+            )
+        self.end: str | None = None
+        """Why the drive is over; none while it goes on."""
+        self._steps: list[RolloutStep] = []
+
+    def reset(self, seed: int | None = None) -> Observation:
+        """Begin the drive anew; with other drops where a seed is given."""
+        if seed is not None:
+            self.scenario = _with_seed(self.scenario, seed)
+        self._controller.reset()
+        self._traffic.reset()
+        if self._renderer is not None and self._shown:
+            self._pictures = RigPictures(self._renderer, self.scenario.rain, self._shown, self._needs)
+        self.end, self._steps = None, []
+        self._moment = self._start()
+        self._judge()
+        return self.observation()
+
+    @property
+    def seed(self) -> int:
+        """Of the rain of this drive."""
+        return self.scenario.rain.seed
+
+    def step(self, plan: Plan | None) -> None:
+        """Follow a plan for one step; without one, or with an empty one, the drive is over.
+
+        Raises ValueError for a plan that is none, and where the drive is over already.
+        """
+        self._check_goes_on()
+        if plan is None or not len(plan.points):
+            self._finish("agent", plan)
+            return
+        points = np.asarray(plan.points, np.float64)
+        if points.ndim != 2 or points.shape[1] != 2:
+            raise ValueError(f"a plan of shape {points.shape}: expected points (N, 2)")
+        if not (np.abs(points) <= FARTHEST_M).all():
+            raise ValueError(f"a plan with points that are not finite, or farther than {FARTHEST_M / 1000:g} km")
+        control = self._controller.control(self.scenario.vehicle, self._moment.state, points, SPACING_S)
+        self.advance(control, plan)
+
+    def advance(self, control: Control, plan: Plan | None = None) -> None:
+        """Move everybody on by one step under a control; `plan` is what it comes from, for the record."""
+        self._check_goes_on()
+        before, dt = self._moment, self.scenario.step_s
+        self._record(plan)
+        control = limited(self.scenario.vehicle, before.state, control, dt)
+        state = moved_on(self.scenario.vehicle, before.state, control, dt)
+        self._traffic.advance(before.time_s, ego_user(self.scenario.vehicle, before.state), dt)
+        self._moment = _Moment(before.step + 1, (before.step + 1) * dt, state, control)
+        self._judge()
+
+    def observation(self) -> Observation:
+        """Show the present moment, with the pictures that the agent needs."""
+        moment, state = self._moment, self._moment.state
+        height = self.ground.height_m(state.x_m, state.y_m)
+        views = {} if self._pictures is None else self.seen_by(self._pictures)
+        return Observation(
+            moment.step, moment.time_s, state, moment.control.acceleration_m_s2, moment.control.steer_rate_rad_s,
+            height, "straight", views, self.route, self._traffic.users,
+        )  # fmt: skip
+
+    def seen_by(self, pictures: RigPictures) -> dict[str, CameraView]:
+        """Draw the present moment for cameras of the rig, those of another than the agent too."""
+        state = self._moment.state
+        velocity = state.speed_m_s * np.array([np.cos(state.yaw_rad), np.sin(state.yaw_rad), 0.0])
+        time_s = self.scenario.start_s + self._moment.time_s
+        turning = yaw_rate(self.scenario.vehicle, state)
+        return pictures.views(self.scene_now, self.rig_to_world, velocity, turning, time_s)
+
+    @property
+    def scene_now(self) -> Scene:
+        """The scene with everybody where they are now."""
+        return self._road.at(self.rig_to_world, self._traffic.users)
+
+    @property
+    def rig_to_world(self) -> Float64[np.ndarray, "4 4"]:
+        """Pose of the ego vehicle's rig (x forward, y left, z up, above the rear axle) now. World: metres."""
+        state = self._moment.state
+        return state.rig_to_world(self.ground.height_m(state.x_m, state.y_m) + self.rig.height_m)
+
+    def rollout(self, agent: str) -> Rollout:
+        """Return what has happened so far; of a drive that is not over, as one that was stopped."""
+        steps, end = list(self._steps), self.end or "stopped"
+        if not steps or steps[-1].step != self._moment.step:
+            steps.append(self._recorded(None))
+        return Rollout(
+            scenario=_plain(self.scenario),
+            scene=self.scene.name,
+            agent=agent,
+            seed=self.seed,
+            step_s=self.scenario.step_s,
+            spacing_s=SPACING_S,
+            users={user.id: UserModel(class_name=user.class_name, size_lwh_m=user.size_lwh)
+                   for user in self._traffic.everybody},
+            end=end,
+            steps=tuple(steps),
+        )  # fmt: skip
+
+    def _start(self) -> "_Moment":
+        return _Moment(0, 0.0, start_state(self.scenario, self.scene, self.route), _STANDING)
+
+    def _check_goes_on(self) -> None:
+        if self.end is not None:
+            raise ValueError(f"the drive is over ({self.end}); reset it")
+
+    def _judge(self) -> None:
+        """Say whether the drive is over at the present moment, and why."""
+        if self._hit is not None:
+            self._finish("collision", None)
+        elif self._completion >= 1:
+            self._finish("completed", None)
+        elif abs(self._on_route.left_m) > self.scenario.leave_m:
+            self._finish("off route", None)
+        elif self._moment.time_s >= self.scenario.duration_s - 1e-9:
+            self._finish("time", None)
+
+    def _finish(self, end: str, plan: Plan | None) -> None:
+        self.end = end
+        self._record(plan)
+
+    def _record(self, plan: Plan | None) -> None:
+        self._steps.append(self._recorded(plan))
+
+    def _recorded(self, plan: Plan | None) -> RolloutStep:
+        moment, state = self._moment, self._moment.state
+        height = self.ground.height_m(state.x_m, state.y_m)
+        return RolloutStep(
+            step=moment.step,
+            time_s=moment.time_s,
+            ego=EgoRecord(
+                x_m=state.x_m, y_m=state.y_m, z_m=height, yaw_rad=state.yaw_rad, speed_m_s=state.speed_m_s,
+                steer_rad=state.steer_rad, acceleration_m_s2=moment.control.acceleration_m_s2,
+                steer_rate_rad_s=moment.control.steer_rate_rad_s, yaw_rate_rad_s=yaw_rate(self.scenario.vehicle, state),
+            ),
+            road_users=tuple(
+                UserRecord(id=user.id, x_m=user.x_m, y_m=user.y_m, z_m=user.z_m, yaw_rad=user.yaw_rad,
+                           speed_m_s=user.speed_m_s)
+                for user in self._traffic.users
+            ),
+            plan=() if plan is None else tuple((float(x), float(y)) for x, y in plan.points),
+            route_left_m=self._on_route.left_m,
+            route_completion=self._completion,
+            collision=self._hit,
+            notes={} if plan is None else _plain(plan.notes),
+        )  # fmt: skip
+
+    @property
+    def _hit(self) -> str | None:
+        moment, scenario = self._moment, self.scenario
+        since_s = scenario.step_s if moment.step else 0.0
+        return touched(scenario.vehicle, moment.state, self._traffic.users, self.ground, self.occupied, since_s)
+
+    @property
+    def _on_route(self) -> OnRoute:
+        return self.route.nearest(self._moment.state.x_m, self._moment.state.y_m)
+
+    @property
+    def _completion(self) -> float:
+        start, ahead = self._begins_m, self.route.length_m - self._begins_m
+        return float(np.clip((self._on_route.along_m - start) / ahead, 0.0, 1.0)) if ahead > 0 else 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Moment:
+    step: int
+    time_s: float
+    state: VehicleState
+    control: Control
+    """Over the step before."""
+
+
+def _with_seed(scenario: Scenario, seed: int) -> Scenario:
+    """Return a scenario in whose rain other drops fall; raises ValueError for a seed that there is not."""
+    if not 0 <= seed < _SEEDS:
+        raise ValueError(f"seed {seed}: must be within 0..{_SEEDS - 1}")
+    return msgspec.structs.replace(scenario, rain=msgspec.structs.replace(scenario.rain, seed=seed))
+
+
+def _plain(value: object) -> dict[str, Any]:
+    return msgspec.json.decode(msgspec.json.encode(value))
+
+
+# § Drives an agent through a scenario, from its start to its end.
+
+
+def drive(simulation: Simulation, agent: Agent) -> Iterator[Observation]:
+    """Let an agent drive; yields each observation that it has answered. `simulation.rollout` has what happened.
+
+    Stop taking observations to stop the drive. What an agent raises comes through; the drive then ends as it stands.
+    """
+    observation = simulation.reset()
+    agent.reset(simulation.seed, simulation.rig)
+    while simulation.end is None:
+        plan = agent.plan(observation)
+        yield observation
+        simulation.step(plan)
+        if simulation.end is None:
+            observation = simulation.observation()
+
+
+def drive_through(simulation: Simulation, agent: Agent) -> Rollout:
+    """Let an agent drive to the end, and return what happened. What it raises comes through."""
+    for _ in drive(simulation, agent):
+        pass
+    return simulation.rollout(agent.name)
+
+
+def drive_scene(
+    scene: Scene,
+    rain: Rain | None = None,
+    agent: Agent | str = "oracle-idm",
+    scenario: Scenario | str = "stationary-lead",
+    *,
+    options: AgentOptions | None = None,
+    backend: Backend = "auto",
+) -> Run:
+    """Let an agent drive through a scene in the rain, and measure the drive.
+
+    `rain` of None is the scenario's. An agent given by its name is opened and closed here, and so is a renderer where
+    the agent needs cameras. Raises ValueError for an unknown agent or scenario, and where the scene lacks what the
+    scenario needs: a recorded drive of its ego vehicle, a rig, a model.
+    """
+    test = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    if rain is not None:
+        test = msgspec.structs.replace(test, rain=rain)
+    with ExitStack() as stack:
+        driver = open_agent(agent, options) if isinstance(agent, str) else agent
+        if driver is not agent:
+            stack.callback(driver.close)
+        renderer = stack.enter_context(open_renderer(backend)) if driver.needs.cameras else None
+        simulation = Simulation(test, scene, driver.needs, renderer)
+        rollout = drive_through(simulation, driver)
+        drivable = drivable_of(scene, simulation.ground, simulation.occupied)
+        return Run.of(rollout, simulation.occupied, drivable)
+
+
+# § What the ego vehicle touches at a moment of a drive: a road user, or what stands in the scene.
+
+
+def touched(
+    vehicle: Vehicle,
+    state: VehicleState,
+    users: Sequence[RoadUser],
+    ground: Ground,
+    occupied: OccupiedSpace,
+    since_s: float,
+) -> str | None:
+    """Return the id of the road user that is hit, "background" for anything else; None while the way is free.
+
+    `since_s` is how long ago it was looked before, 0 at the start: what a fast vehicle has driven through since then is
+    hit too. Who is above or below the vehicle is not.
+    """
+    box = vehicle_box(vehicle, state)
+    foot = ground.height_m(box.x_m, box.y_m)
+    top = foot + vehicle.height_m
+    for user in users:
+        is_over_or_under = user.z_m >= top or user.z_m + user.size_lwh[2] <= foot
+        closing = state.speed_m_s - user.speed_m_s * float(np.cos(user.yaw_rad - state.yaw_rad))
+        if not is_over_or_under and _without_gap(box, closing * since_s).touches(user.box):
+            return user.id
+    return BACKGROUND if occupied.touches(_without_gap(box, state.speed_m_s * since_s)) else None
+
+
+def _without_gap(box: PlanarBox, gone_m: float) -> PlanarBox:
+    """Return the vehicle's box, so much longer behind that none is left to where it was before a way."""
+    more = max(gone_m - box.length_m, 0.0)
+    x, y = box.x_m - more / 2 * np.cos(box.yaw_rad), box.y_m - more / 2 * np.sin(box.yaw_rad)
+    return PlanarBox(float(x), float(y), box.yaw_rad, box.length_m + more, box.width_m)
+
+
+# § The scene with everybody where they are at a moment of a drive.
+
+
+class RoadScene:
+    """A scene whose actors are the scenario's road users."""
+
+    def __init__(self, scene: Scene, looks: dict[str, UserLook]) -> None:
+        """Show road users by their looks; who has none is an actor of the scene."""
+        self.scene = scene
+        self._world_to_scene = np.linalg.inv(scene.scene_to_world)
+        unit = 1 / scene.metres_per_unit
+        self._gaussians = {id: scaled(look.gaussians, unit) for id, look in looks.items()}
+        self._recorded = {actor.id: actor for actor in scene.actors}
+
+    def at(self, rig_to_world: Float64[np.ndarray, "4 4"], users: tuple[RoadUser, ...]) -> Scene:
+        """Return the scene with the ego vehicle's rig and road users in their places, at any time."""
+        actors = tuple(self._actor(user) for user in users)
+        return replace(self.scene, actors=actors, ego=Track.standing(self._world_to_scene @ rig_to_world))
+
+    def _actor(self, user: RoadUser) -> Actor:
+        track = Track.standing(self._world_to_scene @ user.pose)
+        if user.id not in self._gaussians:
+            return replace(self._recorded[user.id], track=track)
+        unit = self.scene.metres_per_unit
+        length, width, height = (side / unit for side in user.size_lwh)
+        gaussians = self._gaussians[user.id]
+        return Actor(user.id, user.class_name, (length, width, height), gaussians, track)

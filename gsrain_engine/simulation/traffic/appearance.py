@@ -1,0 +1,161 @@
+"""What a road user looks like."""
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ...scene.formats.registry import read_gaussians
+from ...scene.gaussians import Gaussians
+from ...scene.scene import Scene, robust_bounds
+from ...scene.street.build import Daylight, gaussians_of
+from ...scene.street.cars import CAR_FORMS, TRUCK_FORM, build_car, vehicle_shadow
+from ...scene.street.layout import CarShape, Color, ParkedTruck, StreetParameters
+from ...scene.street.mesh import Quads
+from ...scene.street.trucks import build_truck
+
+
+class UserLook(NamedTuple):
+    """A model, and the size of what it shows."""
+
+    gaussians: Gaussians
+    """In the object frame (x forward, y left, z up, origin at the bottom centre), metres."""
+    size_lwh_m: tuple[float, float, float]
+
+
+def scaled(gaussians: Gaussians, times: float) -> Gaussians:
+    """Return Gaussians so many times larger, around the origin of their frame."""
+    if times == 1:
+        return gaussians
+    by = np.float32(times)
+    return replace(gaussians, means=gaussians.means * by, scales=gaussians.scales * by)
+
+
+# § What road users of a scenario look like, by the name of a model.
+
+__all__ = ["UserLook", "scaled", "user_look"]
+
+ACTOR = "actor:"
+"""How the name of a model begins that is one of the scene's actors; its id follows."""
+
+
+def user_look(model: str, scene: Scene) -> UserLook:
+    """Make a model: a built-in vehicle, also with a paint (saloon, van/red, truck); actor:ID of the scene; or a file.
+
+    Raises ValueError, with the model's name, for what there is not.
+    """
+    built_in = built_in_vehicle(model)
+    if built_in is not None:
+        return built_in
+    if model.startswith(ACTOR):
+        return _actor_look(model.removeprefix(ACTOR), scene)
+    path = Path(model)
+    if not path.is_file():
+        known = ", ".join([*vehicle_names(), *(f"{ACTOR}{each.id}" for each in scene.actors)])
+        paints = ", ".join(PAINTS)
+        raise ValueError(f"model {model}: no such file, and none of {known} (a paint may follow: /{paints})")
+    return model_of_file(path)
+
+
+def _actor_look(id: str, scene: Scene) -> UserLook:
+    for actor in scene.actors:
+        if actor.id == id:
+            unit = scene.metres_per_unit
+            length, width, height = (unit * side for side in actor.size_lwh)
+            return UserLook(scaled(actor.gaussians, unit), (length, width, height))
+    raise ValueError(f"model {ACTOR}{id}: scene {scene.name!r} has no such actor")
+
+
+# § Files of Gaussians as road users.
+
+_SHARE = 0.995
+"""Share of the opacity along each axis that a model's box holds: captures have strays."""
+
+_OPAQUE = 0.2
+"""Fainter Gaussians say nothing about a model's size."""
+
+_LEAST_M, _MOST_M = 0.1, 30.0
+
+
+def model_of_file(path: Path) -> UserLook:
+    """Read a model in metres (x forward, y left, z up), stand it on the ground, and give it a soft shadow there.
+
+    Its box is where nearly all of what is opaque in it lies; the middle of its foot becomes the origin. The last few
+    files are kept as long as they do not change. Raises ValueError for what can't be a road user.
+    """
+    known = path.stat()
+    return _read(path, known.st_mtime_ns, known.st_size)
+
+
+@lru_cache(maxsize=16)
+def _read(path: Path, changed_ns: int, size: int) -> UserLook:
+    gaussians = read_gaussians(path)
+    opaque = gaussians.take(np.flatnonzero(gaussians.opacities >= _OPAQUE))
+    if not len(opaque):
+        raise ValueError(f"{path}: nothing in it can be seen, so it can't be a road user")
+    low, high = robust_bounds(opaque, share=_SHARE)
+    length, width, height = (float(side) for side in high - low)
+    if not all(_LEAST_M <= side <= _MOST_M for side in (length, width, height)):
+        raise ValueError(
+            f"{path}: {length:.3g} x {width:.3g} x {height:.3g} m is no road user's size; a model is in metres, each "
+            f"side {_LEAST_M:g} to {_MOST_M:g} m"
+        )
+    foot = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], np.float32)
+    standing = replace(gaussians, means=gaussians.means - foot)
+    return UserLook(Gaussians.concatenate([_shadow(length, width), standing]), (length, width, height))
+
+
+def _shadow(length: float, width: float) -> Gaussians:
+    return gaussians_of(vehicle_shadow(length, width), Daylight.over(StreetParameters()))
+
+
+# § Vehicles that the program brings along: the street's cars and its lorry, in paints of one's choice.
+
+TRUCK = "truck"
+
+PAINTS: dict[str, Color] = {
+    "blue": (0.014, 0.034, 0.075),
+    "black": (0.012, 0.012, 0.014),
+    "graphite": (0.05, 0.053, 0.058),
+    "green": (0.016, 0.05, 0.028),
+    "red": (0.19, 0.012, 0.011),
+    "sand": (0.24, 0.20, 0.15),
+    "silver": (0.19, 0.195, 0.20),
+    "white": (0.62, 0.62, 0.61),
+    "yellow": (0.42, 0.24, 0.02),
+}
+"""Linear albedo by name; the first is that of a car which names none."""
+
+_BOX, _SIGN = (0.62, 0.62, 0.60), (0.03, 0.10, 0.30)
+
+_SHAPES: dict[str, CarShape] = {shape: shape for shape in CAR_FORMS}
+
+
+def vehicle_names() -> tuple[str, ...]:
+    """Names of the built-in vehicles; "/" and the name of a paint may follow."""
+    return (*_SHAPES, TRUCK)
+
+
+@lru_cache(maxsize=64)
+def built_in_vehicle(name: str) -> UserLook | None:
+    """Make a built-in vehicle with its shadow on the ground, lit by the street's sun; None where there is none.
+
+    Raises ValueError for a paint that there is not. The last 64 are kept: a sweep makes each of them once.
+    """
+    kind, _, paint = name.partition("/")
+    if kind not in vehicle_names():
+        return None
+    if paint and paint not in PAINTS:
+        raise ValueError(f"model {name}: no paint is called {paint!r}, only {', '.join(PAINTS)}")
+    color = PAINTS[paint] if paint else PAINTS["white" if kind == TRUCK else "blue"]
+    if kind == TRUCK:
+        form = TRUCK_FORM
+        body = build_truck(ParkedTruck(0.0, 0.0, 0.0, color, _BOX, color if paint else _SIGN))
+    else:
+        form = CAR_FORMS[_SHAPES[kind]]
+        body = build_car(_SHAPES[kind], color)
+    quads = Quads.joined([vehicle_shadow(form.length, form.width), body])
+    gaussians = gaussians_of(quads, Daylight.over(StreetParameters()))
+    return UserLook(gaussians, (form.length, form.width, form.height))

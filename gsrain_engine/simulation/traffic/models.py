@@ -1,0 +1,305 @@
+"""All behaviours that a scenario may name, by their `kind`."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from .base import Behaviour, InLane, RoadUser, Surroundings, ahead_in_lane, changed_speed, gap_between
+from .tracks import OnTrack, Replay
+
+if TYPE_CHECKING:
+    from ...scene.scene import Scene
+
+# § The Intelligent Driver Model: follows its lane, and whoever is ahead in it.
+
+
+class IntelligentDriver(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="idm"
+):
+    """Drives along the route in its own lane as Treiber, Hennecke and Helbing (2000) have it.
+
+    The defaults are Treiber and Kesting's for city traffic (2013, table 11.2). HUGSIM's are 30 m/s, 5 m, 2 s, 2 m/s2
+    and 4 m/s2.
+    """
+
+    desired_speed_m_s: Annotated[float, Meta(gt=0, le=60, title="Desired speed", extra={"unit": "m/s"})] = 15.0
+    least_gap_m: Annotated[
+        float, Meta(ge=0, le=50, title="Least gap", description="At a standstill.", extra={"unit": "m"})
+    ] = 2.0
+    headway_s: Annotated[float, Meta(ge=0, le=10, title="Headway", extra={"unit": "s"})] = 1.0
+    acceleration_m_s2: Annotated[float, Meta(gt=0, le=10, title="Acceleration", extra={"unit": "m/s2"})] = 1.0
+    comfortable_braking_m_s2: Annotated[
+        float, Meta(gt=0, le=10, title="Comfortable braking", extra={"unit": "m/s2"})
+    ] = 1.5
+    exponent: Annotated[float, Meta(ge=1, le=20, title="Exponent")] = 4.0
+    most_braking_m_s2: Annotated[float, Meta(gt=0, le=20, title="Most braking", extra={"unit": "m/s2"})] = 8.0
+
+    def begin(self, scene: "Scene", start_s: float) -> Behaviour:
+        """Make the rule for one run, which begins at a time of the scene."""
+        return _Following(self)
+
+    def acceleration(self, speed_m_s: float, gap_m: float | None, closing_m_s: float = 0.0) -> float:
+        """Return what the model asks for (its eq. 2 and 3), no harder than the hardest braking; no gap is a free road.
+
+        `closing_m_s` is one's own speed less that of who is ahead.
+        """
+        free = 1 - (speed_m_s / self.desired_speed_m_s) ** self.exponent
+        if gap_m is None:
+            return max(self.acceleration_m_s2 * free, -self.most_braking_m_s2)
+        comfort = 2 * np.sqrt(self.acceleration_m_s2 * self.comfortable_braking_m_s2)
+        wanted = self.least_gap_m + max(0.0, speed_m_s * self.headway_s + speed_m_s * closing_m_s / float(comfort))
+        asked = self.acceleration_m_s2 * (free - (wanted / max(gap_m, 0.01)) ** 2)
+        return max(asked, -self.most_braking_m_s2)
+
+
+# § What sets a road user's manoeuvre off.
+
+
+class Triggered(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Exactly one of three things sets it off; the others are left out."""
+
+    after_s: (
+        Annotated[float, Meta(ge=0, title="After", description="Since the scenario began.", extra={"unit": "s"})] | None
+    ) = None
+    gap_m: (
+        Annotated[
+            float,
+            Meta(ge=0, title="Gap", description="When the gap to the ego vehicle, from bumper to bumper along the "
+                 "road, has shrunk or grown to this.", extra={"unit": "m"}),
+        ]
+        | None
+    ) = None  # fmt: skip
+    time_to_collision_s: (
+        Annotated[
+            float,
+            Meta(ge=0, title="Time to collision", description="When the ego vehicle, behind it, would be at its "
+                 "bumper after this time, would both keep their speeds.", extra={"unit": "s"}),
+        ]
+        | None
+    ) = None  # fmt: skip
+
+    def __post_init__(self) -> None:
+        given = [each for each in (self.after_s, self.gap_m, self.time_to_collision_s) if each is not None]
+        if len(given) != 1:
+            raise ValueError("exactly one of `after_s`, `gap_m` and `time_to_collision_s` sets it off")
+
+
+# § A road user that brakes: the test of a lead vehicle that slows down.
+
+
+class Brake(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="brake"):
+    """Keeps its lane and speed until it is set off, then brakes at a rate; it stays as slow as it gets.
+
+    Euro NCAP's braking lead vehicle brakes at 2 or 6 m/s2 to a standstill (AEB car-to-car protocol, CCRb).
+    """
+
+    deceleration_m_s2: Annotated[float, Meta(gt=0, le=20, title="Deceleration", extra={"unit": "m/s2"})] = 6.0
+    to_speed_m_s: Annotated[float, Meta(ge=0, le=60, title="Speed after", extra={"unit": "m/s"})] = 0.0
+
+    def begin(self, scene: "Scene", start_s: float) -> Behaviour:
+        """Make the rule for one run, which begins at a time of the scene."""
+        return _Braking(self)
+
+
+# § A road user that goes straight on at its speed.
+
+
+class ConstantVelocity(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="constant-velocity"
+):
+    """Straight on, at the speed that it begins with; 0 m/s stands still."""
+
+    def begin(self, scene: "Scene", start_s: float) -> Behaviour:
+        """Make the rule for one run, which begins at a time of the scene."""
+        return _StraightOn()
+
+
+# § A road user that stands still.
+
+
+class Stationary(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="stationary"
+):
+    """Stands where it is placed, whatever speed it is given."""
+
+    def begin(self, scene: "Scene", start_s: float) -> Behaviour:
+        """Make the rule for one run, which begins at a time of the scene."""
+        return _Standing()
+
+
+# § A road user that changes into the ego vehicle's lane.
+
+
+class CutIn(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="cut-in"):
+    """Keeps its lane and speed until it is set off, then moves across along a quintic polynomial.
+
+    With u the share of the time that has passed, it has gone 10 u^3 - 15 u^4 + 6 u^5 of the way across: there is no
+    lateral speed nor acceleration at either end (the minimum-jerk profile, Flash and Hogan 1985).
+    """
+
+    duration_s: Annotated[float, Meta(gt=0, le=60, title="Duration", extra={"unit": "s"})] = 3.0
+    offset_m: (
+        Annotated[
+            float,
+            Meta(ge=-50, le=50, title="Offset", description="How far it moves across, left of the route positive; "
+                 "none: onto the route's line.", extra={"unit": "m"}),
+        ]
+        | None
+    ) = None  # fmt: skip
+    to_speed_m_s: (
+        Annotated[
+            float,
+            Meta(ge=0, le=60, title="Speed after", description="Along the road; none keeps it.", extra={"unit": "m/s"}),
+        ]
+        | None
+    ) = None
+    speed_delay_s: Annotated[
+        float,
+        Meta(ge=0, le=60, title="Speed delay", description="From setting out until the speed begins to change.",
+             extra={"unit": "s"}),
+    ] = 0.0  # fmt: skip
+    acceleration_m_s2: Annotated[
+        float,
+        Meta(gt=0, le=20, title="Acceleration", description="To that speed, or braking to it.", extra={"unit": "m/s2"}),
+    ] = 2.0
+
+    def begin(self, scene: "Scene", start_s: float) -> Behaviour:
+        """Make the rule for one run, which begins at a time of the scene."""
+        return _CuttingIn(self)
+
+
+BehaviourSettings = ConstantVelocity | Stationary | IntelligentDriver | CutIn | Brake | OnTrack | Replay
+"""Settings of one of them; `begin(scene, start_s)` makes the rule itself."""
+
+
+class _Following:
+    def __init__(self, settings: IntelligentDriver) -> None:
+        self._settings = settings
+        self._place: InLane | None = None
+
+    def start(self, placed: RoadUser) -> RoadUser | None:
+        return placed
+
+    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+        if me is None:
+            return None
+        route = around.route
+        place = self._place or InLane.of(route, me)
+        ahead = ahead_in_lane(route, me, (around.ego, *around.others))
+        closing = 0.0 if ahead is None else me.speed_m_s - ahead.speed_m_s
+        asked = self._settings.acceleration(me.speed_m_s, None if ahead is None else ahead.gap_m, closing)
+        to = max(0.0, me.speed_m_s + asked * dt_s) if asked < 0 else me.speed_m_s + asked * dt_s
+        speed, distance = changed_speed(me.speed_m_s, to, abs(asked), dt_s)
+        self._place = place.ahead(route, distance)
+        return self._place.user(route, me, speed)
+
+
+class _Braking:
+    def __init__(self, settings: Brake) -> None:
+        self._settings, self._trigger = settings, Trigger(settings)
+        self._place: InLane | None = None
+
+    def start(self, placed: RoadUser) -> RoadUser | None:
+        return placed
+
+    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+        if me is None:
+            return None
+        place = self._place or InLane.of(around.route, me)
+        is_off = self._trigger.watch(me, around) is None
+        to = me.speed_m_s if is_off else min(me.speed_m_s, self._settings.to_speed_m_s)
+        speed, distance = changed_speed(me.speed_m_s, to, self._settings.deceleration_m_s2, dt_s)
+        self._place = place.ahead(around.route, distance)
+        return self._place.user(around.route, me, speed)
+
+
+class _StraightOn:
+    def start(self, placed: RoadUser) -> RoadUser | None:
+        return placed
+
+    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+        if me is None:
+            return None
+        return me.ahead(me.speed_m_s * dt_s)
+
+
+class _Standing:
+    def start(self, placed: RoadUser) -> RoadUser | None:
+        return placed.moved(speed_m_s=0.0)
+
+    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+        return me
+
+
+def quintic(share: float) -> float:
+    """Return how much of the way is behind after a share (0..1) of the time: 10 u^3 - 15 u^4 + 6 u^5."""
+    return share**3 * (10 + share * (6 * share - 15))
+
+
+def quintic_rate(share: float) -> float:
+    """Return its derivative, 30 u^2 (1 - u)^2."""
+    return 30 * (share * (1 - share)) ** 2
+
+
+class _CuttingIn:
+    def __init__(self, settings: CutIn) -> None:
+        self._settings, self._trigger = settings, Trigger(settings)
+        self._place: InLane | None = None
+        self._from_left_m = 0.0
+        self._speed_m_s = 0.0
+        """Along the road; the road user's own is that along its heading."""
+
+    def start(self, placed: RoadUser) -> RoadUser | None:
+        self._speed_m_s = placed.speed_m_s
+        return placed
+
+    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+        if me is None:
+            return None
+        route, wanted = around.route, self._settings
+        if self._place is None:
+            self._place = InLane.of(route, me)
+            self._from_left_m = self._place.left_m
+        since = self._trigger.watch(me, around)
+        keeps = since is None or wanted.to_speed_m_s is None or around.time_s < since + wanted.speed_delay_s - 1e-9
+        to = self._speed_m_s if keeps or wanted.to_speed_m_s is None else wanted.to_speed_m_s
+        self._speed_m_s, distance = changed_speed(self._speed_m_s, to, wanted.acceleration_m_s2, dt_s)
+        place = self._place.ahead(route, distance)
+        share = 0.0 if since is None else min((around.time_s + dt_s - since) / wanted.duration_s, 1.0)
+        across = -self._from_left_m if wanted.offset_m is None else wanted.offset_m
+        self._place = InLane(place.along_m, self._from_left_m + across * quintic(share), place.direction)
+        drift = place.direction * across * quintic_rate(share) / wanted.duration_s
+        return self._place.user(route, me, self._speed_m_s, drift)
+
+
+class Trigger:
+    """Watches for the moment that a manoeuvre begins."""
+
+    def __init__(self, settings: Triggered) -> None:
+        self._settings = settings
+        self._began_nearer: bool | None = None
+        self.since_s: float | None = None
+        """When it went off."""
+
+    def watch(self, me: RoadUser, around: Surroundings) -> float | None:
+        """Look at a moment; returns when it went off, None while it has not."""
+        if self.since_s is None and self._goes_off(me, around):
+            self.since_s = around.time_s
+        return self.since_s
+
+    def _goes_off(self, me: RoadUser, around: Surroundings) -> bool:
+        wanted = self._settings
+        if wanted.after_s is not None:
+            return around.time_s >= wanted.after_s - 1e-9
+        gap = gap_between(around.route, me, around.ego)
+        if wanted.gap_m is not None:
+            if self._began_nearer is None:
+                self._began_nearer = gap < wanted.gap_m
+            return gap >= wanted.gap_m if self._began_nearer else gap <= wanted.gap_m
+        assert wanted.time_to_collision_s is not None
+        mine, egos = InLane.of(around.route, me), InLane.of(around.route, around.ego)
+        closing = around.ego.speed_m_s - mine.direction * egos.direction * me.speed_m_s
+        is_behind = egos.direction * (mine.along_m - egos.along_m) > 0
+        return is_behind and closing > 0 and max(gap, 0.0) <= wanted.time_to_collision_s * closing

@@ -1,0 +1,214 @@
+"""A road user that does again what was recorded: an actor of the scene on its own track."""
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+import scipy
+from jaxtyping import Float64
+from msgspec import Meta
+
+from ...scene.scene import Actor, Scene
+from ..geometry import wrapped
+from ..rollout import Rollout, driven_vehicle
+from ..rollout_io import read_any_rollout
+from ..vehicle import VehicleState, vehicle_box
+from .base import EGO, Behaviour, ByTheClock, InLane, RoadUser, Surroundings
+
+_STEP_S = 0.05
+"""Half the time over which a speed is taken: tracks are linear between samples, mostly 100 ms apart."""
+
+
+class RecordedTrack:
+    """Follows an actor's track; the scenario begins at `start_s` of the scene's time."""
+
+    def __init__(self, scene: Scene, actor: Actor, start_s: float) -> None:
+        self._scene, self._actor, self._start_s = scene, actor, start_s
+
+    def start(self, placed: RoadUser) -> RoadUser | None:
+        """Return where it was recorded at the beginning, wherever it is placed."""
+        return self.at(0.0)
+
+    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+        return self.at(around.time_s + dt_s)
+
+    def at(self, time_s: float) -> RoadUser | None:
+        """Return where it was recorded, so long after the scenario began; None while it was not there."""
+        pose = self._pose(time_s)
+        if pose is None:
+            return None
+        forward = pose[:2, 0] / np.linalg.norm(pose[:3, 0])
+        speed = self._speed(time_s, forward)
+        unit = self._scene.metres_per_unit
+        length, width, height = (unit * side for side in self._actor.size_lwh)
+        yaw = float(np.arctan2(forward[1], forward[0]))
+        x, y, z = (float(value) for value in pose[:3, 3])
+        return RoadUser(self._actor.id, self._actor.class_name, (length, width, height), x, y, yaw, max(speed, 0.0), z)
+
+    def _speed(self, time_s: float, forward: Float64[np.ndarray, "2"]) -> float:
+        """Speed along a direction: between places shortly before and after, as far as the track reaches."""
+        first, last = self._actor.track.times[[0, -1]] - self._start_s
+        begin, end = max(time_s - _STEP_S, float(first)), min(time_s + _STEP_S, float(last))
+        before, after = self._pose(begin), self._pose(end)
+        if before is None:
+            begin, before = time_s, self._pose(time_s)
+        if after is None:
+            end, after = time_s, self._pose(time_s)
+        if before is None or after is None or end - begin < _STEP_S / 2:
+            return 0.0
+        return float((after[:2, 3] - before[:2, 3]) @ forward) / (end - begin)
+
+    def _pose(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
+        way = self._actor.way(self._start_s + time_s)
+        return None if way is None else self._scene.scene_to_world @ way
+
+
+# § A road user that does again what one did in a roll-out.
+
+
+class Replay(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="replay"):
+    """Moves as one road user of a finished drive did, or as its ego vehicle; linear between its moments."""
+
+    rollout: Annotated[str, Meta(min_length=1, title="Roll-out", description="A roll-out file (JSON lines).")]
+    user: Annotated[
+        str, Meta(min_length=1, title="Road user", description='Its id in the roll-out; "ego" is its ego vehicle.')
+    ]
+
+    def begin(self, scene: "Scene", start_s: float) -> Behaviour:
+        """Make the rule for one run; raises ValueError where there is no such file or nobody of that name in it."""
+        path = Path(self.rollout)
+        if not path.is_file():
+            raise ValueError(f"{path}: no such roll-out")
+        moments = _moments(read_any_rollout(path), self.user)
+        if not len(moments):
+            raise ValueError(f"{path}: nobody is called {self.user!r} in this roll-out")
+        return _Again(moments)
+
+
+def _moments(rollout: Rollout, user: str) -> Float64[np.ndarray, "n 5"]:
+    """Time, x, y, heading and speed of a road user's middle, moment by moment; NaN while it is not there."""
+    rows: list[tuple[float, ...]] = []
+    absent = (float("nan"),) * 4
+    vehicle = driven_vehicle(rollout)
+    for step in rollout.steps:
+        if user == EGO:
+            box = vehicle_box(vehicle, VehicleState(step.ego.x_m, step.ego.y_m, step.ego.yaw_rad))
+            rows.append((step.time_s, box.x_m, box.y_m, box.yaw_rad, step.ego.speed_m_s))
+            continue
+        here = next((each for each in step.road_users if each.id == user), None)
+        place = absent if here is None else (here.x_m, here.y_m, here.yaw_rad, here.speed_m_s)
+        rows.append((step.time_s, *place))
+    moments = np.array(rows)
+    return moments if np.isfinite(moments).all(axis=1).any() else moments[:0]
+
+
+class _Again(ByTheClock):
+    def __init__(self, moments: Float64[np.ndarray, "n 5"]) -> None:
+        self._moments = moments
+
+    def _at(self, me: RoadUser, time_s: float) -> RoadUser | None:
+        """Where it was at a time; after the roll-out's end it stands where it ended."""
+        times = self._moments[:, 0]
+        later = int(np.searchsorted(times, time_s - 1e-9))
+        if later >= len(times):
+            return _moved(me, self._moments[-1] * [1, 1, 1, 1, 0])
+        earlier = max(later - 1, 0)
+        span = times[later] - times[earlier]
+        share = (time_s - times[earlier]) / span if span > 0 else 1.0
+        first, last = self._moments[earlier], self._moments[later].copy()
+        if share > 1 - 1e-9:
+            return _moved(me, last)
+        last[3] = first[3] + wrapped(float(last[3] - first[3]))
+        return _moved(me, (1 - share) * first + share * last)
+
+
+def _moved(me: RoadUser, moment: Float64[np.ndarray, "5"]) -> RoadUser | None:
+    if not np.isfinite(moment).all():
+        return None
+    _, x, y, yaw, speed = (float(value) for value in moment)
+    return me.moved(x_m=x, y_m=y, yaw_rad=yaw, speed_m_s=speed)
+
+
+# § A road user on a track: an actor's of the scene, or places and times that the scenario lists.
+
+
+class TrackPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A place at a time, from where the road user begins."""
+
+    time_s: Annotated[
+        float, Meta(gt=0, le=1e6, title="Time", description="Since the scenario began.", extra={"unit": "s"})
+    ]
+    ahead_m: Annotated[float, Meta(ge=-1e5, le=1e5, title="Ahead", description="Along the route.", extra={"unit": "m"})]
+    left_m: Annotated[
+        float, Meta(ge=-1e5, le=1e5, title="Left", description="Across it, seen in its direction.", extra={"unit": "m"})
+    ] = 0.0
+
+
+class OnTrack(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="track"):
+    """Follows a track: of an actor, where and when it was recorded; or through points, smoothly, and then stands.
+
+    Between points positions are monotone cubics of time (PCHIP: Fritsch and Butland 1984), so nothing overshoots.
+    """
+
+    actor: Annotated[str | None, Meta(title="Actor", description="Id of the scene's actor whose track it is.")] = None
+    pace: Annotated[
+        float, Meta(gt=0, le=10, title="Pace", description="Of an actor: 0.5 takes twice the recorded time.")
+    ] = 1.0
+    points: tuple[TrackPoint, ...] = ()
+
+    def __post_init__(self) -> None:
+        if (self.actor is None) != bool(self.points):
+            raise ValueError("a track is either that of an `actor` or through `points`")
+        times = [0.0, *(point.time_s for point in self.points)]
+        if any(later <= earlier for earlier, later in pairwise(times)):
+            raise ValueError("`points` must be in the order of their times, which are later than 0 s")
+
+    def begin(self, scene: "Scene", start_s: float) -> Behaviour:
+        """Make the rule for one run; raises ValueError where the scene has no such actor."""
+        if self.actor is None:
+            return _ThroughPoints(self.points)
+        for actor in scene.actors:
+            if actor.id == self.actor:
+                return _LikeActor(RecordedTrack(scene, actor, start_s), self.pace)
+        known = ", ".join(each.id for each in scene.actors) or "none"
+        raise ValueError(f"track of actor {self.actor!r}: scene {scene.name!r} has only {known}")
+
+
+class _LikeActor(ByTheClock):
+    def __init__(self, track: RecordedTrack, pace: float) -> None:
+        self._track, self._pace = track, pace
+
+    def _at(self, me: RoadUser, time_s: float) -> RoadUser | None:
+        there = self._track.at(time_s * self._pace)
+        if there is None:
+            return None
+        speed = there.speed_m_s * self._pace
+        return me.moved(x_m=there.x_m, y_m=there.y_m, yaw_rad=there.yaw_rad, speed_m_s=speed)
+
+
+class _ThroughPoints:
+    def __init__(self, points: tuple[TrackPoint, ...]) -> None:
+        rows = [(0.0, 0.0, 0.0), *((point.time_s, point.ahead_m, point.left_m) for point in points)]
+        times, ahead, left = np.array(rows).T
+        self._end_s = float(times[-1])
+        self._way = scipy.interpolate.PchipInterpolator(times, np.stack([ahead, left], axis=1))
+        self._speed = self._way.derivative()
+        self._from: InLane | None = None
+
+    def start(self, placed: RoadUser) -> RoadUser | None:
+        return placed
+
+    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+        if me is None:
+            return None
+        if self._from is None:
+            self._from = InLane.of(around.route, me)
+        time_s = min(around.time_s + dt_s, self._end_s)
+        ahead, left = (float(value) for value in self._way(time_s))
+        vx, vy = (float(value) for value in self._speed(time_s))
+        x, y, heading = around.route.at(self._from.along_m + ahead, self._from.left_m + left)
+        speed = float(np.hypot(vx, vy)) if around.time_s + dt_s < self._end_s else 0.0
+        yaw = heading + float(np.arctan2(vy, vx)) if speed > 0.05 else me.yaw_rad
+        return me.moved(x_m=x, y_m=y, yaw_rad=yaw, speed_m_s=speed)

@@ -1,0 +1,152 @@
+"""The ego vehicle: its size and what it can do."""
+
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+import msgspec
+import numpy as np
+from jaxtyping import Float64
+from msgspec import Meta
+
+from .geometry import PlanarBox
+
+
+class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A car as its driver's model sees it. Frame: x forward, y left, z up, origin on the ground below the rear axle.
+
+    The defaults are a middle-class car; the wheelbase, the steering and the acceleration that a driver may ask for are
+    those of HUGSIM's controller.
+    """
+
+    length_m: Annotated[float, Meta(gt=0, le=30, title="Length", extra={"unit": "m"})] = 4.6
+    width_m: Annotated[float, Meta(gt=0, le=5, title="Width", extra={"unit": "m"})] = 1.85
+    height_m: Annotated[float, Meta(gt=0, le=5, title="Height", extra={"unit": "m"})] = 1.5
+    wheelbase_m: Annotated[float, Meta(gt=0, le=10, title="Wheelbase", extra={"unit": "m"})] = 2.7
+    rear_overhang_m: Annotated[
+        float,
+        Meta(ge=0, le=10, title="Rear overhang", description="From the rear bumper to the rear axle.",
+             extra={"unit": "m"}),
+    ] = 1.0  # fmt: skip
+    most_acceleration_m_s2: Annotated[
+        float, Meta(gt=0, le=20, title="Most acceleration", extra={"unit": "m/s2"})
+    ] = 3.0  # fmt: skip
+    most_braking_m_s2: Annotated[
+        float, Meta(gt=0, le=20, title="Most braking", description="On a dry road.", extra={"unit": "m/s2"})
+    ] = 8.0  # fmt: skip
+    most_steer_rad: Annotated[
+        float, Meta(gt=0, le=1.5, title="Most steering", description="Of the front wheels.", extra={"unit": "rad"})
+    ] = 1.0471975511965976  # fmt: skip
+    most_steer_rate_rad_s: Annotated[
+        float, Meta(gt=0, le=5, title="Most steering rate", extra={"unit": "rad/s"})
+    ] = 0.4  # fmt: skip
+    top_speed_m_s: Annotated[float, Meta(gt=0, le=100, title="Top speed", extra={"unit": "m/s"})] = 50.0
+
+    @property
+    def middle_m(self) -> float:
+        """From the rear axle forward to the middle of the body."""
+        return self.length_m / 2 - self.rear_overhang_m
+
+    @property
+    def front_m(self) -> float:
+        """From the rear axle forward to the front bumper."""
+        return self.length_m - self.rear_overhang_m
+
+
+HUGSIM_VEHICLE = Vehicle(length_m=3.0, width_m=1.6, height_m=1.5, wheelbase_m=2.7, rear_overhang_m=1.5)
+"""HUGSIM's ego: its box (w 1.6, h 1.5, l 3.0) stands around the point that it steers, a front camera."""
+
+# § How the ego vehicle moves at a moment, and what its driver asks of it. World frame: metres, z up.
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleState:
+    """Pose and speed of a vehicle, at the middle of its rear axle."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    """Counter-clockwise from the world's x; not wrapped."""
+    speed_m_s: float = 0.0
+    """Along its heading; 0 or more."""
+    steer_rad: float = 0.0
+    """Of the front wheels, left positive."""
+
+    def to_world(self, points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
+        """Take points in the vehicle's frame (x forward, y left) to the world."""
+        return points @ self._turn.T + (self.x_m, self.y_m)
+
+    def from_world(self, points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
+        """Take points in the world to the vehicle's frame (x forward, y left)."""
+        return (points - (self.x_m, self.y_m)) @ self._turn
+
+    def rig_to_world(self, height_m: float) -> Float64[np.ndarray, "4 4"]:
+        """Return the pose of a rig (x forward, y left, z up) at a height above the vehicle's point, in the world."""
+        matrix = np.eye(4)
+        matrix[:2, :2] = self._turn
+        matrix[:3, 3] = self.x_m, self.y_m, height_m
+        return matrix
+
+    @property
+    def _turn(self) -> Float64[np.ndarray, "2 2"]:
+        cosine, sine = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        return np.array([[cosine, -sine], [sine, cosine]])
+
+
+class Control(NamedTuple):
+    """What a vehicle is asked to do until the next moment."""
+
+    acceleration_m_s2: float
+    """Below 0 brakes."""
+    steer_rate_rad_s: float
+    """Of the front wheels, left positive."""
+
+
+# § The kinematic bicycle model: how a vehicle moves on under a control, within its limits.
+
+
+def limited(vehicle: Vehicle, state: VehicleState, control: Control, dt_s: float) -> Control:
+    """Return what of a control a vehicle can do: within its limits, and no further than to standstill."""
+    low = max(-vehicle.most_braking_m_s2, -state.speed_m_s / dt_s)
+    high = min(vehicle.most_acceleration_m_s2, (vehicle.top_speed_m_s - state.speed_m_s) / dt_s)
+    most = vehicle.most_steer_rate_rad_s
+    rate = float(np.clip(control.steer_rate_rad_s, -most, most))
+    steer = float(np.clip(state.steer_rad + rate * dt_s, -vehicle.most_steer_rad, vehicle.most_steer_rad))
+    return Control(float(np.clip(control.acceleration_m_s2, low, max(low, high))), (steer - state.steer_rad) / dt_s)
+
+
+def moved_on(vehicle: Vehicle, state: VehicleState, control: Control, dt_s: float) -> VehicleState:
+    """Return where a vehicle is after a time under a constant control, and how fast.
+
+    The rear axle's middle follows its heading, which turns by v tan(steer) / wheelbase (Rajamani 2012, sec. 2.2, with
+    the reference at the rear axle). Speed and steering are taken at the middle of the step: exact for straight lines
+    under constant acceleration and for circles at constant speed, of second order else.
+    """
+    control = limited(vehicle, state, control, dt_s)
+    speed = state.speed_m_s + 0.5 * control.acceleration_m_s2 * dt_s
+    steer = state.steer_rad + 0.5 * control.steer_rate_rad_s * dt_s
+    turn = speed * np.tan(steer) / vehicle.wheelbase_m * dt_s
+    # The chord of an arc: its length over the arc's is sin(half) / half.
+    distance = speed * dt_s * float(np.sinc(turn / (2 * np.pi)))
+    heading = state.yaw_rad + 0.5 * turn
+    return VehicleState(
+        float(state.x_m + distance * np.cos(heading)),
+        float(state.y_m + distance * np.sin(heading)),
+        float(state.yaw_rad + turn),
+        float(max(0.0, state.speed_m_s + control.acceleration_m_s2 * dt_s)),
+        float(state.steer_rad + control.steer_rate_rad_s * dt_s),
+    )
+
+
+def yaw_rate(vehicle: Vehicle, state: VehicleState) -> float:
+    """Return how fast a vehicle turns to the left, rad/s: v tan(steer) / wheelbase."""
+    return float(state.speed_m_s * np.tan(state.steer_rad) / vehicle.wheelbase_m)
+
+
+# § Where the ego vehicle's body is, which its states do not say: they are those of its rear axle.
+
+
+def vehicle_box(vehicle: Vehicle, state: VehicleState) -> PlanarBox:
+    """Return the box on the ground that a vehicle takes up. World frame, metres."""
+    x = state.x_m + vehicle.middle_m * np.cos(state.yaw_rad)
+    y = state.y_m + vehicle.middle_m * np.sin(state.yaw_rad)
+    return PlanarBox(float(x), float(y), state.yaw_rad, vehicle.length_m, vehicle.width_m)

@@ -1,0 +1,332 @@
+"""A drive as a video: what the front camera sees, the plan on the road, figures of the moment, and all from above."""
+
+from collections.abc import Iterator
+from functools import cached_property
+from itertools import chain, pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import msgspec
+import numpy as np
+from jaxtyping import Float64, UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from ..evaluation.detection.detector import Detection
+from ..evaluation.detection.drawing import drawn
+from ..rain.simulation import Rainfall
+from ..render.draw import Shot, draw_shot
+from ..render.renderer import Renderer
+from ..render.sky_color import sky_color
+from ..render.video import VideoWriter
+from ..scene.camera import Camera
+from ..scene.progress import Progress
+from .agents.base import Needs
+from .geometry import PlanarBox
+from .ground import ground_of
+from .metrics.collisions import LONGEST_S, gaps_m, times_to_collision_s
+from .obstacles import occupied_space_of
+from .playback import PlayedRollout
+from .rollout import RolloutStep
+from .sensors import needed_cameras, placed_camera
+from .vehicle import vehicle_box
+
+Color = tuple[int, int, int]
+
+Picture = UInt8[np.ndarray, "h w 3"]
+
+_PAPER, _INK, _FAINT, _SOLID = (18, 20, 24), (232, 234, 238), (128, 134, 144), (92, 98, 108)
+
+_EGO, _PLAN, _USER, _HIT = (86, 180, 233), (0, 214, 160), (230, 159, 0), (255, 70, 70)
+"""Told apart with any colour vision (Okabe and Ito 2008)."""
+
+_BEHIND_M, _AHEAD_M, _ACROSS_M = 12.0, 68.0, 14.0
+"""What is shown from above: so far behind the ego vehicle, ahead of it, and across in all."""
+
+_COLUMNS, _END = (0.015, 0.14, 0.36, 0.46, 0.57, 0.7, 0.86), 5
+"""Where the figures of the moment stand, in shares of the width; from the sixth on, in the end, how the drive ended."""
+
+_LETTER, _SMALLEST_PX = 1 / 52, 11
+"""Size of the figures' letters, as a share of the width that holds all figures in one line; they stay legible."""
+
+_ENDS = {"time": "time is up", "completed": "end of the route", "agent": "the agent gave up"}
+
+_NEAR_M = 0.3
+
+_DOT_M = 0.14
+
+_SURE = 0.3
+"""Detections that an agent is less sure of are left out."""
+
+
+class DriveVideo:
+    """Pictures of a played roll-out, all of one size. The same roll-out gives the same bytes."""
+
+    def __init__(self, played: PlayedRollout, renderer: Renderer) -> None:
+        """Look from the camera of the rig that looks most straight ahead.
+
+        Raises ValueError where the scene has no rig.
+        """
+        if not played.rig.cameras:
+            raise ValueError(f"scene {played.rollout.scene!r} has no rig whose front camera could film the drive")
+        (self._mounted,) = needed_cameras(played.rig.cameras, Needs(cameras=("front",)))
+        self._played, self._renderer = played, renderer
+        self._rainfall = Rainfall.start(played.scenario.rain)
+        start = played.scene(0.0)
+        self._sky = sky_color(renderer, start, placed_camera(self._mounted, played.rig_to_world(0.0)))
+
+    def pictures(self, fps: float) -> Iterator[Picture]:
+        """Yield the pictures of the whole drive; the last moment is held for a second."""
+        moments = [*np.arange(0.0, self._played.end_s, 1 / fps), *[self._played.end_s] * (1 + round(fps))]
+        for time_s in moments:
+            yield self.picture(float(time_s))
+
+    def count(self, fps: float) -> int:
+        """How many pictures that is."""
+        return len(np.arange(0.0, self._played.end_s, 1 / fps)) + 1 + round(fps)
+
+    def picture(self, time_s: float) -> Picture:
+        seen = self._seen(time_s)
+        above = self._above(time_s, seen.shape[1])
+        told = self._told(time_s, seen.shape[1])
+        whole = np.concatenate([seen, told, above])
+        return np.ascontiguousarray(whole[: whole.shape[0] // 2 * 2])
+
+    def _seen(self, time_s: float) -> Picture:
+        """Draw what the camera sees, with the plan on the road and what the agent has detected in its last picture."""
+        played, rig = self._played, self._played.rig_to_world(time_s)
+        camera, state = placed_camera(self._mounted, rig), played.state(time_s)
+        velocity = state.speed_m_s * rig[:3, 0]
+        scene_s = played.scene_time_s(time_s)
+        color = self._sky.at(self._rainfall.wetness_at(scene_s))
+        draw_shot(self._renderer, played.scene(time_s), self._rainfall, color, Shot(camera, scene_s, velocity))
+        step = played.step(time_s)
+        picture = drawn(self._renderer.read().to_uint8(), (), _noted(step), _SURE)
+        then = played.state(step.time_s)
+        if not step.plan:
+            return picture
+        points = then.to_world(np.array([(0.0, 0.0), *step.plan]))
+        ahead = np.array([state.from_world(points)[:, 0] > 0]).ravel()
+        _draw_plan(picture, camera, points[ahead], step.ego.z_m + 0.02)
+        return picture
+
+    def _told(self, time_s: float, width: int) -> Picture:
+        played, step = self._played, self._played.step(time_s)
+        state = played.state(time_s)
+        at = step.step - played.rollout.steps[0].step
+        gap, ttc = float(self._gaps_m[at]), float(self._times_s[at])
+        words = [
+            f"{played.scenario.rain.intensity_mm_h:g} mm/h",
+            played.rollout.agent,
+            f"{time_s:5.2f} s",
+            f"{state.speed_m_s:4.1f} m/s",
+            f"{round(step.ego.acceleration_m_s2, 1) + 0.0:+.1f} m/s\u00b2",
+            f"gap {gap:.1f} m" if np.isfinite(gap) else "nobody ahead",
+            f"TTC {ttc:.1f} s" if ttc < LONGEST_S else "",
+        ]
+        if time_s >= played.end_s - 1e-9:
+            hit = played.rollout.steps[-1].collision
+            words[_END:] = [_ENDS.get(played.rollout.end, played.rollout.end) if hit is None else f"collision: {hit}"]
+        size = max(_SMALLEST_PX, round(width * _LETTER))
+        slots = figure_slots(width)
+        tall = round(2.1 * size)
+        strip = Image.new("RGB", (width, tall * (1 + slots[-1].line)), _PAPER)
+        draw = ImageDraw.Draw(strip)
+        for number, (slot, word) in enumerate(zip(slots, words, strict=False)):
+            is_last = number == len(words) - 1
+            color = _HIT if number == _END and "collision" in word else _INK
+            room = width - slot.left_px if is_last else slot.room_px
+            fitting = _fitted(draw, word, room, _font(size))
+            draw.text((round(slot.left_px), (slot.line + 0.5) * tall), fitting, color, _font(size), anchor="lm")
+        return np.asarray(strip)
+
+    def _above(self, time_s: float, width: int) -> Picture:
+        """Draw everybody from above; the ego vehicle drives to the right."""
+        played, state, step = self._played, self._played.state(time_s), self._played.step(time_s)
+        plan = _Plan(width, (state.x_m, state.y_m, state.yaw_rad))
+        plan.specks(self._solid)
+        plan.dots(self._route, (70, 76, 86), 0.25)
+        for user in played.users(time_s):
+            plan.box(user.box, _HIT if user.id == step.collision and time_s >= step.time_s else _USER)
+        plan.box(vehicle_box(played.scenario.vehicle, state), _EGO)
+        if step.plan:
+            plan.dots(played.state(step.time_s).to_world(np.array(step.plan)), _PLAN, 0.45)
+        plan.scale_bar()
+        return plan.picture
+
+    @cached_property
+    def _gaps_m(self) -> Float64[np.ndarray, " n"]:
+        return gaps_m(self._played.rollout)
+
+    @cached_property
+    def _times_s(self) -> Float64[np.ndarray, " n"]:
+        return times_to_collision_s(self._played.rollout)
+
+    @cached_property
+    def _route(self) -> Float64[np.ndarray, "n 2"]:
+        """The way that was driven, each metre or so."""
+        return np.array([(each.ego.x_m, each.ego.y_m) for each in self._played.rollout.steps])
+
+    @cached_property
+    def _solid(self) -> Float64[np.ndarray, "n 2"]:
+        """What stands beside the road and could be hit."""
+        base = self._played.base
+        return occupied_space_of(base, ground_of(base)).places
+
+
+class Slot(NamedTuple):
+    """Where a figure of the moment stands."""
+
+    line: int
+    left_px: float
+    room_px: float
+
+
+def figure_slots(width: int) -> list[Slot]:
+    """Where the figures stand in a film of a width in pixels: in one line, or in as many as a narrow one needs."""
+    whole = max(width, _SMALLEST_PX / _LETTER)
+    slots: list[Slot] = []
+    line, first = 0, _COLUMNS[0]
+    for left, right in pairwise((*_COLUMNS, 1.0)):
+        if left > first and (right - first + _COLUMNS[0]) * whole > width:
+            line, first = line + 1, left
+        slots.append(Slot(line, (left - first + _COLUMNS[0]) * whole, (right - left) * whole))
+    return slots
+
+
+def _fitted(draw: ImageDraw.ImageDraw, word: str, room_px: float, font: ImageFont.FreeTypeFont) -> str:
+    """Shorten what would run into the next figure."""
+    if draw.textlength(word, font) <= room_px:
+        return word
+    while word and draw.textlength(f"{word}\u2026", font) > room_px:
+        word = word[:-1]
+    return f"{word}\u2026"
+
+
+class _Noted(msgspec.Struct):
+    """A detection as camera-idm's notes have it."""
+
+    class_name: str = msgspec.field(name="class")
+    confidence: float
+    box_xyxy: tuple[float, float, float, float]
+
+
+def _noted(step: RolloutStep) -> list[Detection]:
+    """Return what the agent has put on record of its detections; none where it keeps no such record."""
+    try:
+        noted = msgspec.convert(step.notes.get("detections", []), list[_Noted])
+    except msgspec.ValidationError:
+        return []
+    return [Detection(each.class_name, each.confidence, each.box_xyxy) for each in noted]
+
+
+class _Plan:
+    """A drawing from above in the frame of the ego vehicle."""
+
+    def __init__(self, width: int, pose: tuple[float, float, float]) -> None:
+        self._scale = width / (_BEHIND_M + _AHEAD_M)
+        height = round(_ACROSS_M * self._scale)
+        self.picture: Picture = np.full((height, width, 3), _PAPER, np.uint8)
+        x, y, yaw = pose
+        turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+        self._origin, self._turn = np.array([x, y]), turn
+
+    def box(self, box: PlanarBox, color: Color) -> None:
+        corners = self._pixels(box.corners)
+        shade = tuple(round(0.45 * value) for value in color)
+        cv2.fillPoly(self.picture, [corners], shade, cv2.LINE_AA, 4)
+        cv2.polylines(self.picture, [corners], True, color, 1, cv2.LINE_AA, 4)
+
+    def specks(self, points: Float64[np.ndarray, "n 2"]) -> None:
+        """Set single pixels, however many there are."""
+        x, y = (self._pixels(points) // 16).T
+        height, width = self.picture.shape[:2]
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        self.picture[y[inside], x[inside]] = _SOLID
+
+    def dots(self, points: Float64[np.ndarray, "n 2"], color: Color, radius_m: float) -> None:
+        radius = max(16, round(radius_m * self._scale * 16))
+        for x, y in self._pixels(points):
+            cv2.circle(self.picture, (int(x), int(y)), radius, color, cv2.FILLED, cv2.LINE_AA, 4)
+
+    def scale_bar(self) -> None:
+        """Ten metres, in the lower right corner."""
+        height, width = self.picture.shape[:2]
+        right, y, size = width - 12, height - 12, max(9, round(width / 80))
+        cv2.line(self.picture, (right - round(10 * self._scale), y), (right, y), _FAINT, 1)
+        image = Image.fromarray(self.picture)
+        ImageDraw.Draw(image).text((right, y - 3), "10 m", _FAINT, _font(size), anchor="rb")
+        self.picture = np.array(image)
+
+    def _pixels(self, points: Float64[np.ndarray, "n 2"]) -> np.ndarray:
+        local = (points - self._origin) @ self._turn.T
+        across = self.picture.shape[0] / 2 - local[:, 1] * self._scale
+        return np.round(16 * np.stack([(local[:, 0] + _BEHIND_M) * self._scale, across], axis=1)).astype(np.int32)
+
+
+def _draw_plan(picture: Picture, camera: Camera, points: Float64[np.ndarray, "n 2"], height_m: float) -> None:
+    """Draw planned points as a line with dots, as large as they would be on the road."""
+    if len(points) < 1:
+        return
+    pixels, depth = _projected(camera, _resampled(points), height_m)
+    seen = [_fixed(pixel) for pixel, far in zip(pixels, depth, strict=True) if far > _NEAR_M]
+    for width, color in ((5, (0, 40, 30)), (3, _PLAN)):
+        cv2.polylines(picture, [np.array(seen, np.int32).reshape(-1, 2)], False, color, width, cv2.LINE_AA, 4)
+    pixels, depth = _projected(camera, points, height_m)
+    for pixel, far in zip(pixels, depth, strict=True):
+        if far > _NEAR_M:
+            radius = float(np.clip(_DOT_M * camera.fx / far, 2.5, 9))
+            cv2.circle(picture, _fixed(pixel), round(16 * radius), _PLAN, cv2.FILLED, cv2.LINE_AA, 4)
+
+
+def _resampled(points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "m 2"]:
+    """Points every half metre, so that a line that begins behind the camera is cut near to it."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at = np.append(np.arange(0.0, along[-1], 0.5), along[-1])
+    return np.stack([np.interp(at, along, points[:, axis]) for axis in range(2)], axis=1)
+
+
+def _projected(
+    camera: Camera, points: Float64[np.ndarray, "n 2"], height_m: float
+) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, " n"]]:
+    """Pixels of points on the ground, and their depth in metres."""
+    places = np.column_stack([points, np.full(len(points), height_m)])
+    local = places @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    depth = local[:, 2]
+    safe = np.maximum(depth, _NEAR_M)[:, None]
+    return local[:, :2] / safe * (camera.fx, camera.fy) + (camera.cx, camera.cy), depth
+
+
+def _fixed(pixel: Float64[np.ndarray, "2"]) -> tuple[int, int]:
+    """Sixteenths of a pixel as OpenCV takes them, kept within what it can draw."""
+    x, y = np.clip(np.round(16 * (pixel - 0.5)), -(2**20), 2**20)
+    return int(x), int(y)
+
+
+def _font(size: int) -> ImageFont.FreeTypeFont:
+    import matplotlib as mpl  # whose font it is; the window loads this module at its start
+
+    return ImageFont.truetype(Path(mpl.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size)
+
+
+# § A drive's video, written into a file.
+
+_PREVIEW_PX = 320
+
+
+def film_drive(path: Path, video: DriveVideo, fps: float) -> Iterator[Progress]:
+    """Write a video with so many frames a second; yields after each frame.
+
+    Where a caller stops, what was written can be played.
+
+    Raises:
+        ValueError: For a suffix that is no video's.
+        OSError: When the file can't be written.
+    """
+    pictures, count = video.pictures(fps), video.count(fps)
+    first = next(pictures)
+    every = max(first.shape[1] // _PREVIEW_PX, 1)
+    with VideoWriter(path, first.shape[1], first.shape[0], fps) as writer:
+        for number, picture in enumerate(chain([first], pictures), start=1):
+            writer.write(picture)
+            yield Progress(number / count, f"Frame {number} of {count}", picture[::every, ::every].copy())

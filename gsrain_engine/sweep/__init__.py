@@ -1,0 +1,1 @@
+"""Many runs: every combination of scenes, scenarios, intensities, seeds and agents."""

@@ -1,0 +1,312 @@
+"""From a sweep to its jobs, in the order in which they are best run: all of a scene before those of the next."""
+
+import hashlib
+import re
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+from msgspec import Struct, structs
+
+from ..backends import Backend
+from ..evaluation.detection.detector import find_detector
+from ..plugins import AGENTS, DECODERS, SCENE_FORMATS, extensions
+from ..rain.calibration import calibration_names
+from ..rain.settings import Rain
+from ..render.export_settings import Recording
+from ..render.object_labels import LabelFormat
+from ..scene.files import name_problem
+from ..scene.scene_hash import file_hash, scene_hash
+from ..simulation.agents.registry import agent_file, agent_names
+from ..simulation.scenario import Scenario
+from ..simulation.scenario_io import load_scenario
+from .settings import AgentChoice, DriveSweep, RenderSweep, Sweep, jittered, seeds_of
+
+# § One piece of a sweep: everything that its result depends on, and nothing else.
+
+
+class _Content(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What jobs of all kinds depend on."""
+
+    program: str
+    """Version of the program."""
+    scene: str
+    """As it was named; it stands in roll-outs."""
+    scene_hash: str
+    files: dict[str, str] = {}
+    """Hashes of all other files that it reads, by the names under which it reads them."""
+    packages: dict[str, str] = {}
+    """Versions of other packages whose agent, scene formats or decoders it uses, by their names."""
+    seed: int
+    backend: Backend
+
+    @property
+    def id(self) -> str:
+        """Hash of the content (20 hex digits): equal for equal jobs, on every machine."""
+        return hashlib.sha256(msgspec.json.encode(self, order="sorted")).hexdigest()[:_DIGITS]
+
+
+class DriveJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="drive"):
+    """A closed-loop drive."""
+
+    scenario: Scenario
+    """As it is run: with its rain, its scene, and where its seed has it begin."""
+    agent: AgentChoice
+
+    @property
+    def title(self) -> str:
+        """What a person reads about it."""
+        rain = self.scenario.rain.intensity_mm_h
+        return f"{self.scenario.name}, {rain:g} mm/h, seed {self.seed}, {self.agent.title}"
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What its row says about it."""
+        return {
+            **_shared(self, "drive"),
+            "scenario": self.scenario.name,
+            "intensity_mm_h": self.scenario.rain.intensity_mm_h,
+            "agent": self.agent.title,
+            "agent_name": self.agent.name,
+        }
+
+
+class RenderJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):
+    """A clip, or frames, with their labels."""
+
+    rain: Rain
+    recording: Recording
+    labels: LabelFormat | None = None
+
+    @property
+    def title(self) -> str:
+        """What a person reads about it."""
+        return f"{self.scene}, {self.rain.intensity_mm_h:g} mm/h, seed {self.seed}"
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What its row says about it."""
+        return {**_shared(self, "render"), "intensity_mm_h": self.rain.intensity_mm_h, "labels": self.labels}
+
+
+Job = DriveJob | RenderJob
+
+
+def jobs_of(sweep: Sweep) -> list[Job]:
+    """Return every combination that a sweep asks for, each once. Reads all files that jobs depend on, to hash them.
+
+    Raises ValueError for a scenario, agent or scene that is not there, and OSError for a file that can't be read.
+    """
+    jobs = _drives(sweep) if isinstance(sweep, DriveSweep) else _renders(sweep)
+    jobs.sort(key=lambda job: job.scene)
+    return list({job.id: job for job in jobs}.values())
+
+
+def _drives(sweep: DriveSweep) -> list[Job]:
+    agents = [_complete(AgentChoice(name=each) if isinstance(each, str) else each) for each in sweep.agents]
+    _check(agents)
+    hashes = _Hashes()
+    scenarios = [load_scenario(name) for name in sweep.scenarios]
+    _check_names(scenarios)
+    return [
+        _drive(sweep, hashes, structs.replace(scenario, scene=scene), agent, intensity, seed)
+        for scenario in scenarios
+        for scene in sweep.scenes or (scenario.scene,)
+        for agent in agents
+        for intensity in sweep.intensities_mm_h
+        for seed in seeds_of(sweep)
+    ]
+
+
+def _drive(
+    sweep: DriveSweep, hashes: "_Hashes", scenario: Scenario, agent: AgentChoice, intensity: float, seed: int
+) -> DriveJob:
+    rain = structs.replace(scenario.rain, intensity_mm_h=intensity, seed=seed)
+    scenario = structs.replace(jittered(scenario, sweep.jitter, seed), rain=rain)
+    models = [user.model for user in scenario.road_users]
+    own = agent_file(agent.name)
+    return DriveJob(
+        program=program_version(),
+        scene=scenario.scene,
+        scene_hash=hashes.scene(scenario.scene),
+        packages=_packages([scenario.scene, *models], agent),
+        files=hashes.files([rain.calibration, *models, agent.detector, agent.description, own and str(own)]),
+        seed=seed,
+        backend=sweep.backend,
+        scenario=scenario,
+        agent=agent,
+    )
+
+
+def _complete(agent: AgentChoice) -> AgentChoice:
+    """Name the detector that an agent would find by itself: the result depends on it."""
+    if agent.name != "camera-idm" or agent.detector is not None:
+        return agent
+    try:
+        return structs.replace(agent, detector=str(find_detector()))
+    except FileNotFoundError as error:
+        raise ValueError(f"agent {agent.title}: {error}") from None
+
+
+def _packages(scenes: list[str], agent: AgentChoice | None = None) -> dict[str, str]:
+    """Return versions of the packages that read these files of Gaussians, that the agent comes from, that add decoders.
+
+    Which decoder a detector takes shows only when it is opened: all of them count.
+    """
+    used = [each for each in extensions(SCENE_FORMATS) if any(_has_suffix(name, each.name) for name in scenes)]
+    if agent is not None:
+        used += [each for each in extensions(AGENTS) if each.name == agent.name]
+        used += extensions(DECODERS) if agent.detector is not None else ()
+    return {each.package: each.version for each in used}
+
+
+def _has_suffix(name: str, suffix: str) -> bool:
+    return name.lower().endswith(f".{suffix.lower()}")
+
+
+def _renders(sweep: RenderSweep) -> list[Job]:
+    hashes = _Hashes()
+    recording = sweep.recording
+    if sweep.labels is not None and "depth" not in recording.passes:
+        recording = structs.replace(recording, passes=(*recording.passes, "depth"))
+    try:
+        recording.check()
+    except ValueError as error:
+        raise ValueError(f"recording.output {error}") from None
+    if recording.path.is_absolute() or ".." in recording.path.parts or not recording.path.parts:
+        raise ValueError(
+            f"recording.output {recording.output!r}: expected a name in the clip's own folder, as clip.mp4"
+        )
+    if (problem := name_problem(recording.path)) is not None:
+        raise ValueError(f"recording.output: {problem}")
+    return [
+        RenderJob(
+            program=program_version(),
+            scene=scene,
+            scene_hash=hashes.scene(scene),
+            packages=_packages([scene]),
+            files=hashes.files([sweep.rain.calibration]),
+            seed=seed,
+            backend=sweep.backend,
+            rain=structs.replace(sweep.rain, intensity_mm_h=intensity, seed=seed),
+            recording=recording,
+            labels=sweep.labels,
+        )
+        for scene in sweep.scenes
+        for intensity in sweep.intensities_mm_h
+        for seed in seeds_of(sweep)[: None if intensity > 0 else 1]  # without drops all seeds show the same
+    ]
+
+
+class _Hashes:
+    """Each file is read once."""
+
+    def __init__(self) -> None:
+        self._scenes: dict[str, str] = {}
+        self._files: dict[str, str] = {}
+
+    def scene(self, name: str) -> str:
+        if name not in self._scenes:
+            self._scenes[name] = scene_hash(name)
+        return self._scenes[name]
+
+    def files(self, names: list[str | None]) -> dict[str, str]:
+        """Hash what names a file; shipped calibrations, models and descriptions belong to the program's version."""
+        found = [name for name in dict.fromkeys(names) if name and name not in calibration_names()]
+        found = [name for name in found if Path(name).is_file()]
+        for name in found:
+            if name not in self._files:
+                self._files[name] = file_hash(Path(name))
+        return {name: self._files[name] for name in sorted(found)}
+
+
+def _check(agents: list[AgentChoice]) -> None:
+    titles = [agent.title for agent in agents]
+    for agent in agents:
+        own = agent_file(agent.name)
+        if own is not None and not own.is_file():
+            raise ValueError(f"agent {agent.name}: no such file")
+        if own is None and agent.name not in agent_names():
+            raise ValueError(f"agent {agent.name}: there is none of that name, only {', '.join(agent_names())}")
+        if agent.detector is not None and not Path(agent.detector).is_file():
+            raise ValueError(f"agent {agent.title}: there is no detector {agent.detector}")
+        if titles.count(agent.title) > 1:
+            raise ValueError(f"two agents are called {agent.title!r}: give each a `label`")
+
+
+def _check_names(scenarios: list[Scenario]) -> None:
+    names = [scenario.name for scenario in scenarios]
+    doubled = next((name for name in names if names.count(name) > 1), None)
+    if doubled is not None:
+        raise ValueError(f"two scenarios are called {doubled!r}: tables could not tell them apart")
+
+
+_DIGITS = 20
+
+
+def _shared(job: _Content, kind: str) -> dict[str, Any]:
+    return {
+        "id": job.id,
+        "kind": kind,
+        "scene": job.scene,
+        "scene_hash": job.scene_hash,
+        "seed": job.seed,
+        "backend": job.backend,
+        "program": job.program,
+    }
+
+
+# § A share of a sweep, for machines that know nothing of each other, such as the tasks of a SLURM array.
+
+_FORM = re.compile(r"(\d+)/(\d+)")
+
+
+class Shard(NamedTuple):
+    """The i-th of n shares, counted from 1."""
+
+    place: int
+    shares: int
+
+    @staticmethod
+    def parse(text: str) -> "Shard":
+        """Read "i/n"; raises ValueError where it is none, or i is not within 1..n."""
+        match = _FORM.fullmatch(text.strip())
+        if match is None:
+            raise ValueError(
+                f"shard {text}: expected i/n, such as 1/10 or $SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT"
+            )
+        place, shares = int(match[1]), int(match[2])
+        if not 1 <= place <= shares:
+            raise ValueError(f"shard {text}: shares are counted from 1 to n, as by sbatch --array=1-{max(shares, 1)}")
+        return Shard(place, shares)
+
+    def of(self, jobs: Sequence[Job]) -> list[Job]:
+        """Return this share of the jobs, in their order: every n-th by id, so that each share is a fair mixture."""
+        ids = sorted(job.id for job in jobs)
+        own = set(ids[self.place - 1 :: self.shares])
+        return [job for job in jobs if job.id in own]
+
+    def __str__(self) -> str:
+        return f"{self.place}/{self.shares}"
+
+
+# § What runs a sweep: versions of the program and of what it computes with.
+
+_COMPUTED_WITH = ("numpy", "onnxruntime", "scipy", "shapely")
+
+
+def program_version() -> str:
+    return metadata.version("gsrain")
+
+
+def software() -> dict[str, str]:
+    """Return versions by package, of those that are installed: other ones may round in another way."""
+    found = {"gsrain": program_version()}
+    for name in _COMPUTED_WITH:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found

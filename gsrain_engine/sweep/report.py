@@ -1,0 +1,282 @@
+"""The rows of a sweep as one table, with what they say together: files beside the rows."""
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path, PurePath
+from typing import Any
+
+import msgspec
+import numpy as np
+from jaxtyping import UInt8
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+from ..evaluation.plot_styles import SeriesStyle, series_styles
+from ..evaluation.report import ReportFigure, ReportTable, RunReport, write_report
+from ..rain.settings import CALIBRATED_UP_TO_MM_H
+from ..safe_io.text_files import figure_words
+from ..scene.files import shortened, whole_file
+from .expansion import DriveJob, Job
+from .results import (
+    FAILED,
+    MEASURED,
+    Cell,
+    Row,
+    Spread,
+    SweepFolder,
+    by_scenario,
+    comma_separated,
+    encoded,
+    parquet,
+    summarized,
+)
+from .settings import Sweep
+
+
+def write_tables(folder: SweepFolder, sweep: Sweep, jobs: Sequence[Job]) -> dict[str, Any]:
+    """Merge the rows that stand there into table.parquet, table.csv, summary.json, figures and report.html.
+
+    Everything but the report is the same bytes for the same rows. Returns the summary as plain values. Raises
+    ValueError where no row stands there, OSError where something can't be written.
+    """
+    found = folder.read(jobs)
+    rows = [found[job.id] for job in jobs if job.id in found]
+    if not rows:
+        raise ValueError(f"{folder.path}: there are no rows of this sweep yet")
+    kind = "drive" if isinstance(jobs[0], DriveJob) else "render"
+    cells = summarized(rows) if kind == "drive" else []
+    numbers = _numbers(folder, jobs, rows, cells)
+    figures = _written_figures(folder.path / "figures", by_scenario(cell for cell in cells if cell.runs))
+    for name, data in (
+        ("table.parquet", parquet(rows, kind)),
+        ("table.csv", comma_separated(rows, kind).encode()),
+        ("summary.json", encoded(numbers)),
+    ):
+        with whole_file(folder.path / name) as beside:
+            beside.write_bytes(data)
+    write_report(folder.path / "report.html", sweep_page(folder.path.name, sweep, numbers, rows, cells, figures))
+    return numbers
+
+
+def _numbers(folder: SweepFolder, jobs: Sequence[Job], rows: Sequence[Row], cells: Sequence[Cell]) -> dict[str, Any]:
+    failed = [row for row in rows if row["status"] == FAILED]
+    return {
+        "jobs": len(jobs),
+        "rows": len(rows),
+        "failed": len(failed),
+        "other_rows": folder.others(jobs),
+        "errors": _errors(failed),
+        "cells": msgspec.to_builtins(cells),
+    }
+
+
+def _errors(failed: Iterable[Row]) -> dict[str, int]:
+    """Count each error's jobs, the most frequent first."""
+    counts: dict[str, int] = {}
+    for row in failed:
+        counts[str(row["error"])] = counts.get(str(row["error"]), 0) + 1
+    return dict(sorted(counts.items(), key=lambda each: (-each[1], each[0])))
+
+
+def _written_figures(folder: Path, scenarios: Sequence[Sequence[Cell]]) -> list[ReportFigure]:
+    """Draw each scenario into a file of its name and its scene's; those of equal names are numbered."""
+    caption = "Bands: 95 %, over the seeds; of collisions Wilson's interval, of means a bootstrap."
+    figures: list[ReportFigure] = []
+    names: list[str] = []
+    for cells in scenarios:
+        scenario, scene = cells[0].scenario, cells[0].scene
+        name = shortened("".join(each if each.isalnum() else "-" for each in f"{scenario}-{PurePath(scene).stem}"))
+        names.append(name)
+        file = folder / (f"{name}.png" if names.count(name) == 1 else f"{name}-{names.count(name)}.png")
+        figures.append(ReportFigure(f"{scenario}, {scene}", scenario_figure(cells), caption))
+        folder.mkdir(parents=True, exist_ok=True)
+        with whole_file(file) as beside:
+            Image.fromarray(figures[-1].pixels).save(beside, "png")
+    return figures
+
+
+# § Collisions, time to collision, planned collisions and comfort against the intensity of rain, with their bands.
+
+_PANEL_IN, _DPI = (4.4, 3.3), 120
+
+_ASIDE, _ALL_ASIDE = 0.012, 0.06
+"""Of the widest intensity: how far curves stand from each other, and all of them together at most."""
+
+_LEGEND_COLUMNS, _LEGEND_LINE_IN = 4, 0.2
+
+
+def _mean(name: str) -> Callable[[Cell], Spread | None]:
+    return lambda cell: cell.means.get(name)
+
+
+_PANELS: tuple[tuple[str, Callable[[Cell], Spread | None]], ...] = (
+    ("share of drives with a collision", lambda cell: cell.collision_rate),
+    ("least time to collision (s)", _mean("min_ttc_s")),
+    ("C: share of planned points that collide", _mean("planned_point_collision_rate")),
+    ("S: comfort of the motion as driven", _mean("comfort_executed")),
+)
+
+
+def scenario_figure(cells: Sequence[Cell]) -> UInt8[np.ndarray, "h w 3"]:
+    """Draw what the agents did in one scenario of one scene: a panel a measure, a curve an agent.
+
+    The same cells give the same bytes. Bands are the 95 % intervals of the cells; the first panel's are Wilson's.
+    """
+    rows, columns = 2, len(_PANELS) // 2
+    agents = list(dict.fromkeys(cell.agent for cell in cells))
+    legend_in = _LEGEND_LINE_IN * -(-len(agents) // _LEGEND_COLUMNS)
+    size = columns * _PANEL_IN[0], rows * _PANEL_IN[1] + 0.4 + legend_in
+    figure = Figure(figsize=size, layout="constrained", dpi=_DPI)
+    panels: list[Axes] = list(np.ravel(figure.subplots(rows, columns, sharex=True)))
+    styles = series_styles(len(agents))
+    # else equal curves would hide each other
+    aside = min(_ASIDE, _ALL_ASIDE / len(agents)) * max(cell.intensity_mm_h for cell in cells)
+    for number, (panel, (title, value)) in enumerate(zip(panels, _PANELS, strict=True)):
+        for place, agent in enumerate(agents):
+            own = [cell for cell in cells if cell.agent == agent]
+            _curve(panel, own, value, styles[place], figure_words(agent, 28), aside * (place - (len(agents) - 1) / 2))
+        _dress(panel, title, cells, is_lowest=number >= columns)
+    runs = sorted({cell.runs for cell in cells})
+    seeds = f"{runs[0]}" if len(runs) == 1 else f"{runs[0]} to {runs[-1]}"
+    where = f"{figure_words(cells[0].scenario)} in {figure_words(PurePath(cells[0].scene).name)}"
+    figure.suptitle(f"{where}: {seeds} drives a point", fontsize=11)
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", frameon=False, fontsize=9,
+        ncols=min(len(agents), _LEGEND_COLUMNS),
+    )  # fmt: skip
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _curve(
+    panel: Axes, cells: Sequence[Cell], value: Callable[[Cell], Spread | None], style: SeriesStyle, label: str,
+    aside: float,
+) -> None:  # fmt: skip
+    points = [(cell.intensity_mm_h, spread) for cell in cells if (spread := value(cell)) is not None]
+    x = [each + aside for each, _ in points]
+    spreads = [each for _, each in points]
+    color, means = style.color, [each.mean for each in spreads]
+    panel.plot(x, means, linestyle=style.line, marker=style.marker, color=color, label=label, ms=4)
+    if len(points) > 1:
+        panel.fill_between(x, [s.low for s in spreads], [s.high for s in spreads], color=color, alpha=style.band, lw=0)
+    for at, each in zip(x, spreads, strict=True):
+        panel.plot([at, at], [each.low, each.high], color=color, alpha=0.6, lw=1)
+
+
+def _dress(panel: Axes, title: str, cells: Sequence[Cell], *, is_lowest: bool) -> None:
+    panel.set_title(title, fontsize=9.5)
+    intensities = sorted({cell.intensity_mm_h for cell in cells})
+    if intensities[-1] > CALIBRATED_UP_TO_MM_H:
+        panel.axvspan(CALIBRATED_UP_TO_MM_H, intensities[-1], color="0.93", zorder=0)
+    if "(s)" in title:
+        panel.set_ylim(bottom=-0.03 * panel.get_ylim()[1])
+    else:
+        panel.set_ylim(-0.03, 1.03)
+    panel.grid(alpha=0.25)
+    panel.spines[["top", "right"]].set_visible(False)
+    if is_lowest:
+        panel.set_xlabel("rainfall intensity (mm/h)")
+
+
+# § The page of a sweep: its figures, and what they show as tables.
+
+_MOST_ERRORS = 20
+
+_BANDED = 1
+"""Of the measured columns so many have room for their intervals; summary.json has all."""
+
+_CHANGED = ("min_ttc_s", "planned_point_collision_rate", "comfort_executed")
+
+
+def sweep_page(
+    name: str,
+    sweep: Sweep,
+    numbers: dict[str, Any],
+    rows: Sequence[Row],
+    cells: Sequence[Cell],
+    figures: Sequence[ReportFigure],
+) -> RunReport:
+    """Lay out the page of a sweep; `numbers` is its summary, `figures` those of its scenarios."""
+    notes = [f"{count} of {numbers['rows']} failed: {error}" for error, count in list(numbers["errors"].items())]
+    if numbers["rows"] < numbers["jobs"]:
+        notes.insert(0, f"{numbers['jobs'] - numbers['rows']} of {numbers['jobs']} jobs have not been done yet.")
+    if numbers["other_rows"]:
+        notes.append(f"{numbers['other_rows']} rows of other settings, scenes or versions lie there and are left out.")
+    done = {"jobs": f"{numbers['jobs']:,}", "finished": f"{numbers['rows'] - numbers['failed']:,}"}
+    settings = {
+        name: value if isinstance(value, str | int | float) else msgspec.json.encode(value).decode()
+        for name, value in msgspec.to_builtins(sweep).items()
+        if value is not None
+    }
+    return RunReport(
+        title=f"Sweep {name}",
+        settings=settings,
+        headlines={**done, "failed": f"{numbers['failed']:,}"},
+        notes=tuple(notes[:_MOST_ERRORS]),
+        figures=tuple(figures),
+        tables=_tables(cells) if cells else (_clips(rows),),
+    )
+
+
+def _tables(cells: Sequence[Cell]) -> tuple[ReportTable, ...]:
+    tables: list[ReportTable] = []
+    for own in by_scenario(cells):
+        tables.append(scenario_table(own))
+        if any(cell.changes for cell in own):
+            tables.append(change_table(own))
+    return tuple(tables)
+
+
+def scenario_table(cells: Sequence[Cell]) -> ReportTable:
+    """Lay the cells of one scenario in one scene out as a table: a row an agent and intensity."""
+    banded, plain = list(MEASURED)[:_BANDED], list(MEASURED)[_BANDED:]
+    failed = any(cell.failed for cell in cells)
+    columns = (
+        "agent", "R (mm/h)", "drives", *(["failed"] if failed else []), "collisions", "95 %",
+        *(each for name in banded for each in (MEASURED[name], "95 %")), *(MEASURED[name] for name in plain),
+    )  # fmt: skip
+    rows = tuple(
+        (
+            cell.agent,
+            cell.intensity_mm_h,
+            cell.runs,
+            *([cell.failed] if failed else []),
+            *_pair(cell.collision_rate),
+            *(each for name in banded for each in _pair(cell.means.get(name))),
+            *(_pair(cell.means.get(name))[0] for name in plain),
+        )
+        for cell in cells
+    )
+    caption = (
+        "Collisions: share of the drives, with Wilson's interval. C and S are the paper's, of points or frames of the "
+        "plans, and of the motion as driven or as planned; means over the seeds, with bootstrap intervals."
+    )
+    return ReportTable(f"{cells[0].scenario}, {cells[0].scene}", columns, rows, 2, caption)
+
+
+def change_table(cells: Sequence[Cell]) -> ReportTable:
+    """Lay out what rain changes in one scenario, seed by seed: a row an agent and intensity above the lowest."""
+    columns = ("agent", "R (mm/h)", "pairs", *(each for name in _CHANGED for each in (MEASURED[name], "95 %")))
+    changed = [cell for cell in cells if cell.changes]
+    rows = tuple(
+        (
+            cell.agent,
+            cell.intensity_mm_h,
+            max(each.count for each in cell.changes.values()),
+            *(each for name in _CHANGED for each in _pair(cell.changes.get(name))),
+        )
+        for cell in changed
+    )
+    caption = "Differences from the lowest intensity, each drive's from the one of the same seed."
+    return ReportTable(f"{cells[0].scenario}, {cells[0].scene}: what rain changes", columns, rows, 2, caption)
+
+
+def _clips(rows: Sequence[Row]) -> ReportTable:
+    columns = ("scene", "intensity_mm_h", "seed", "cameras", "frames", "sizes_px", "drops", "clip", "error")
+    return ReportTable("Clips", columns, tuple(tuple(row[name] for name in columns) for row in rows))
+
+
+def _pair(spread: Spread | None) -> tuple[float | None, str]:
+    return (None, "") if spread is None else (spread.mean, f"{spread.low:.2f} to {spread.high:.2f}")

@@ -1,0 +1,330 @@
+"""The row of a job: its parameters and what came of it, with nothing in it of time or machine."""
+
+import errno
+import io
+import os
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+from msgspec import Struct, inspect
+from scipy.stats import binomtest
+
+from ..evaluation.image_metrics import CONFIDENCE, mean_interval
+from ..safe_io.limits import read_file
+from ..safe_io.text_files import printable
+from ..scene.files import whole_file
+from ..simulation.metrics.summary import DriveMetrics
+from ..simulation.rollout_io import write_rollout
+from .expansion import DriveJob, Job
+from .settings import Sweep
+from .worker import Outcome, Value
+
+Row = dict[str, Value]
+
+_MOST_ROWS = 10_000_000
+"""Of a file; a job's has one."""
+
+FINISHED, FAILED = "finished", "failed"
+
+_SHARED: dict[str, type] = {
+    "id": str, "kind": str, "status": str, "error": str, "scene": str, "scene_hash": str, "intensity_mm_h": float,
+    "seed": int, "backend": str, "program": str, "software": str,
+}  # fmt: skip
+
+_DRIVE: dict[str, type] = {**_SHARED, "scenario": str, "agent": str, "agent_name": str}
+
+_RENDER: dict[str, type] = {
+    **_SHARED, "labels": str, "clip": str, "clip_hash": str, "cameras": int, "frames": int, "sizes_px": str,
+    "implied_mm_h": float, "drops": int,
+}  # fmt: skip
+
+_TYPES: dict[type, type] = {
+    inspect.BoolType: bool, inspect.IntType: int, inspect.FloatType: float, inspect.StrType: str
+}  # fmt: skip
+
+
+def columns_of(kind: str) -> dict[str, type]:
+    """Return names and types of the columns of "drive" or "render" rows, in their order; all but the first may be None.
+
+    What is measured of a drive are the fields of `DriveMetrics`.
+    """
+    if kind == "render":
+        return _RENDER
+    fields = inspect.type_info(DriveMetrics).fields  # pyright: ignore[reportAttributeAccessIssue]: that of a struct
+    return {**_DRIVE, **{each.name: _plain(each.type) for each in fields if each.name not in _DRIVE}}
+
+
+def row_of(job: Job, outcome: Outcome) -> Row:
+    """Join a job and its outcome. What the job says goes before what was measured."""
+    told: Mapping[str, Any] = {**outcome.values, **job.parameters}
+    told = {**told, "status": FINISHED if outcome.error is None else FAILED, "error": outcome.error}
+    kind = "drive" if isinstance(job, DriveJob) else "render"
+    return {name: told.get(name) for name in columns_of(kind)}
+
+
+def parquet(rows: Sequence[Row], kind: str) -> bytes:
+    """Return rows as a Parquet file; the same rows give the same bytes."""
+    arrow, files = parquet_modules()
+    table = arrow.Table.from_pylist(list(rows), schema=_schema(kind))
+    sink = io.BytesIO()
+    files.write_table(table, sink, compression="zstd", use_dictionary=False, write_statistics=False)
+    return sink.getvalue()
+
+
+def rows_in(data: bytes) -> list[Row]:
+    """Read a Parquet file of rows. Raises ValueError for what is none."""
+    arrow, files = parquet_modules()
+    try:
+        with files.ParquetFile(io.BytesIO(data)) as file:
+            if file.metadata.num_rows > _MOST_ROWS:
+                raise ValueError(f"{file.metadata.num_rows} rows")
+            return file.read().to_pylist()
+    except (arrow.ArrowException, OSError, OverflowError, ValueError) as error:  # damage comes as any of them
+        raise ValueError(f"no Parquet file: {printable(error)}") from None
+
+
+def comma_separated(rows: Sequence[Row], kind: str) -> str:
+    """Return rows as CSV: nothing where there is no value, true and false for what is one or the other."""
+    lines = [",".join(columns_of(kind))]
+    lines += [",".join(map(_cell, (row.get(name) for name in columns_of(kind)))) for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _cell(value: Value) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = str(value)
+    return '"' + text.replace('"', '""') + '"' if any(each in text for each in ',"\n\r') else text
+
+
+def _schema(kind: str) -> Any:
+    arrow, _ = parquet_modules()
+    types = {str: arrow.string(), int: arrow.int64(), float: arrow.float64(), bool: arrow.bool_()}
+    return arrow.schema([(name, types[each]) for name, each in columns_of(kind).items()])
+
+
+def _plain(kind: inspect.Type) -> type:
+    """Type of a column: that which stands in it where it is not None."""
+    choices = kind.types if isinstance(kind, inspect.UnionType) else (kind,)
+    return next(_TYPES[type(each)] for each in choices if type(each) in _TYPES)
+
+
+def parquet_modules() -> tuple[Any, Any]:
+    """The package, and its module of Parquet files; loaded where a row is written or read."""
+    try:
+        return import_module("pyarrow"), import_module("pyarrow.parquet")
+    except ModuleNotFoundError:
+        raise ValueError("rows of sweeps take the package pyarrow: pip install 'gsrain[drive]'") from None
+
+
+def encoded(value: Any) -> bytes:
+    """Return plain values as indented JSON."""
+    return msgspec.json.format(msgspec.json.encode(value), indent=1) + b"\n"
+
+
+# § What the rows of a sweep say together: at each intensity the share of collisions, and means, with their bands.
+
+MEASURED: dict[str, str] = {
+    "min_ttc_s": "min TTC (s)",
+    "planned_point_collision_rate": "C points",
+    "planned_frame_collision_rate": "C frames",
+    "comfort_executed": "S driven",
+    "comfort_planned": "S planned",
+    "route_completion": "route",
+}
+"""Columns whose means are told, and what tables call them."""
+
+
+class Spread(Struct, frozen=True):
+    """A mean with the ends between which it lies with 95 %."""
+
+    mean: float
+    low: float
+    high: float
+    count: int
+    """Runs that it is of; those that have no value are left out."""
+
+
+class Group(NamedTuple):
+    """What a curve is of."""
+
+    scene: str
+    scenario: str
+    agent: str
+
+
+class Cell(Struct, frozen=True, kw_only=True):
+    """All seeds of one group at one intensity."""
+
+    scene: str
+    scenario: str
+    agent: str
+    intensity_mm_h: float
+    runs: int
+    """Finished ones: those that failed tell nothing."""
+    failed: int
+    collisions: int
+    collision_rate: Spread | None
+    """Share of the runs, with Wilson's interval (Wilson 1927)."""
+    means: dict[str, Spread]
+    """Of the columns in `MEASURED`, over the seeds, with bootstrap bands. Without a column that no run has."""
+    changes: dict[str, Spread]
+    """The same of the differences from the lowest intensity, seed by seed: what rain does to one and the same drive."""
+
+    @property
+    def group(self) -> Group:
+        return Group(self.scene, self.scenario, self.agent)
+
+
+def summarized(rows: Iterable[Row]) -> list[Cell]:
+    """Summarize the rows of drives, in the order of their parameters."""
+    told = sorted(rows, key=lambda row: (*_group(row), _number(row["intensity_mm_h"]), _number(row["seed"])))
+    cells: list[Cell] = []
+    for group in dict.fromkeys(map(_group, told)):
+        own = [row for row in told if _group(row) == group]
+        intensities = list(dict.fromkeys(_number(row["intensity_mm_h"]) for row in own))
+        at = {each: [row for row in own if row["intensity_mm_h"] == each] for each in intensities}
+        cells += [_summary_cell(group, each, at[each], at[intensities[0]]) for each in intensities]
+    return cells
+
+
+def by_scenario(cells: Iterable[Cell]) -> list[list[Cell]]:
+    """Return the cells of each scenario in each scene, in their order."""
+    cells = list(cells)
+    places = list(dict.fromkeys((cell.scene, cell.scenario) for cell in cells))
+    return [[cell for cell in cells if (cell.scene, cell.scenario) == place] for place in places]
+
+
+def _summary_cell(group: Group, intensity: float, rows: Sequence[Row], lowest: Sequence[Row]) -> Cell:
+    finished = [row for row in rows if row["status"] == FINISHED]
+    collisions = sum(bool(row["collision"]) for row in finished)
+    means = {name: _spread([_number(row[name]) for row in finished if row[name] is not None]) for name in MEASURED}
+    changes = {name: _spread(_changes(name, finished, lowest)) for name in MEASURED} if rows is not lowest else {}
+    return Cell(
+        **group._asdict(),
+        intensity_mm_h=intensity,
+        runs=len(finished),
+        failed=len(rows) - len(finished),
+        collisions=collisions,
+        collision_rate=_share(collisions, len(finished)) if finished else None,
+        means={name: each for name, each in means.items() if each is not None},
+        changes={name: each for name, each in changes.items() if each is not None},
+    )
+
+
+def _changes(name: str, rows: Sequence[Row], lowest: Sequence[Row]) -> list[float]:
+    before = {row["seed"]: row[name] for row in lowest if row["status"] == FINISHED and row[name] is not None}
+    pairs = [(row[name], before[row["seed"]]) for row in rows if row[name] is not None and row["seed"] in before]
+    return [_number(later) - _number(earlier) for later, earlier in pairs]
+
+
+def _spread(values: list[float]) -> Spread | None:
+    return Spread(*mean_interval(values), len(values)) if values else None
+
+
+def _share(count: int, runs: int) -> Spread:
+    interval = binomtest(count, runs).proportion_ci(CONFIDENCE, method="wilson")
+    return Spread(count / runs, float(interval.low), float(interval.high), runs)
+
+
+def _group(row: Row) -> Group:
+    return Group(str(row["scene"]), str(row["scenario"]), str(row["agent"]))
+
+
+def _number(value: object) -> float:
+    assert isinstance(value, int | float)
+    return float(value)
+
+
+# § The folder of a sweep: a row and a roll-out a job, each whole or not there; any number of sweeps may write to it.
+
+_SUFFIX = ".parquet"
+
+
+class SweepFolder:
+    """Rows by the ids of their jobs. A row is written last: where it stands, everything else of its job does."""
+
+    def __init__(self, path: Path) -> None:
+        """Use a folder, which is made when something is written."""
+        self.path = path
+        self.rows = path / "rows"
+        self.rollouts = path / "rollouts"
+        self.clips = path / "clips"
+        self.log = path / "log.jsonl"
+
+    def describe(self, sweep: Sweep, jobs: Iterable[Job]) -> None:
+        """Write down what is run: sweep.json, and jobs.jsonl with all that each id stands for.
+
+        Raises ValueError where rows can't be written later: no job is to be done in vain.
+        """
+        parquet_modules()
+        self.path.mkdir(parents=True, exist_ok=True)
+        lines = sorted((job.id, msgspec.json.encode({"id": job.id, "job": job}, order="sorted")) for job in jobs)
+        with whole_file(self.path / "sweep.json") as beside:
+            beside.write_bytes(encoded(sweep))
+        with whole_file(self.path / "jobs.jsonl") as beside:
+            beside.write_bytes(b"".join(line + b"\n" for _, line in lines))
+
+    def keep(self, job: Job, outcome: Outcome) -> Row:
+        """Write what came of a job, and say so in the log; raises OSError, and then nothing half stands there."""
+        row = row_of(job, outcome)
+        if outcome.rollout is not None:
+            self.rollouts.mkdir(parents=True, exist_ok=True)
+            write_rollout(self.rollouts / f"{job.id}.jsonl", outcome.rollout)
+        self.rows.mkdir(parents=True, exist_ok=True)
+        with whole_file(self.rows / f"{job.id}{_SUFFIX}") as beside:
+            beside.write_bytes(parquet([row], str(row["kind"])))
+        self._note(job, outcome)
+        return row
+
+    def read(self, jobs: Iterable[Job]) -> dict[str, Row]:
+        """Return the rows that stand there, by the ids of their jobs. A damaged one counts as missing."""
+        found: dict[str, Row] = {}
+        for job in jobs:
+            row = self._row(job.id)
+            if row is not None:
+                found[job.id] = row
+        return found
+
+    def to_do(self, jobs: Sequence[Job], *, retry_failed: bool = False) -> list[Job]:
+        """Return the jobs without a row, in their order; those whose row tells of a failure too, if asked for."""
+        rows = self.read(jobs)
+        return [
+            job for job in jobs if job.id not in rows or (retry_failed and rows[job.id]["status"] != FINISHED)
+        ]  # fmt: skip
+
+    def others(self, jobs: Sequence[Job]) -> int:
+        """Count rows of other jobs: of other settings, scenes or versions."""
+        own = {f"{job.id}{_SUFFIX}" for job in jobs}
+        return sum(file.name not in own for file in self.rows.glob(f"[!.]*{_SUFFIX}"))
+
+    def _row(self, id: str) -> Row | None:
+        try:
+            rows = rows_in(read_file(self.rows / f"{id}{_SUFFIX}"))
+        except (FileNotFoundError, ValueError):
+            return None
+        row = rows[0] if len(rows) == 1 else {}
+        return row if row.get("id") == id and "status" in row else None
+
+    def _note(self, job: Job, outcome: Outcome) -> None:
+        """Add a line to the log: everything about the job that differs from machine to machine."""
+        line = {
+            "at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+            "id": job.id,
+            "job": job.title,
+            "seconds": round(outcome.seconds, 3),
+            "worker": outcome.worker,
+            "error": outcome.error,
+        }
+        with self.log.open("ab+", buffering=0) as file:  # one write a line: those of several sweeps don't mix
+            told = msgspec.json.encode(line) + b"\n"
+            if file.seek(0, os.SEEK_END) and (file.seek(-1, os.SEEK_END), file.read(1))[1] != b"\n":
+                told = b"\n" + told  # behind a line that a full disk has torn
+            if file.write(told) != len(told):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.log))

@@ -1,0 +1,186 @@
+"""What a sweep runs: every combination of scenes, scenarios, intensities, seeds and agents; one value, a YAML file."""
+
+import zlib
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta, Struct, structs
+
+from ..backends import Backend
+from ..evaluation.detection.description import description_names
+from ..presets import load_config, shipped_names
+from ..rain.calibration import calibration_names
+from ..rain.settings import Rain
+from ..render.export_settings import Recording
+from ..render.object_labels import LabelFormat
+from ..safe_io.errors import converted
+from ..scene.open import STREET
+from ..simulation.agents.registry import agent_names
+from ..simulation.scenario import Scenario
+from ..simulation.scenario_io import scenario_names
+
+_FOLDER = "sweeps"
+
+_FILES = ("scenarios", "scenes", "agents", "name", "detector", "description", "calibration")
+"""Fields that name files; `name` is an agent's."""
+
+Intensity = Annotated[float, Meta(ge=0, le=100)]
+
+Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
+
+Seeds = Annotated[int, Meta(ge=1, le=100_000)] | Annotated[tuple[Seed, ...], Meta(min_length=1)]
+
+
+class AgentChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An agent with what it takes."""
+
+    name: Annotated[str, Meta(min_length=1, title="Name", description="Of those of gsrain drive --agent.")]
+    label: Annotated[str | None, Meta(title="Label", description="What tables call it; none: name and detector.")] = (
+        None
+    )
+    detector: Annotated[str | None, Meta(title="Detector", description="Its ONNX file.")] = None
+    description: Annotated[
+        str | None, Meta(title="Description", description="How the detector is used: a shipped name or a YAML file.")
+    ] = None
+    url: Annotated[str | None, Meta(title="URL", description="Where an agent listens that runs elsewhere.")] = None
+
+    @property
+    def title(self) -> str:
+        return self.label or " ".join(
+            [Path(self.name).name, *([] if self.detector is None else [Path(self.detector).stem])]
+        )
+
+
+# § How far a seed varies where and how fast a drive begins: what makes its runs differ without any rain.
+
+
+class Jitter(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Standard deviations of normal laws that are cut at twice of them."""
+
+    ego_speed_m_s: Annotated[float, Meta(ge=0, le=10, title="Ego's speed", extra={"unit": "m/s"})] = 0.0
+    ahead_m: Annotated[
+        float, Meta(ge=0, le=20, title="Ahead", description="Of each road user.", extra={"unit": "m"})
+    ] = 0.0
+    left_m: Annotated[float, Meta(ge=0, le=5, title="Left", description="Of each road user.", extra={"unit": "m"})] = (
+        0.0
+    )
+    speed_m_s: Annotated[
+        float, Meta(ge=0, le=10, title="Speed", description="Of each road user that moves.", extra={"unit": "m/s"})
+    ] = 0.0
+
+
+class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="drive"):
+    """Closed-loop drives. A seed means the same at every intensity, so that results can be compared in pairs."""
+
+    scenarios: Annotated[
+        tuple[str, ...], Meta(min_length=1, title="Scenarios", description="Shipped names, or scenario files.")
+    ]
+    intensities_mm_h: Annotated[
+        tuple[Intensity, ...], Meta(min_length=1, title="Intensities", extra={"unit": "mm/h"})
+    ] = (0.0, 1.2, 8.5, 12.0)
+    agents: Annotated[
+        tuple[str | AgentChoice, ...],
+        Meta(min_length=1, title="Agents", description="Names, or names with a detector, its description, a URL."),
+    ] = ("oracle-idm",)
+    seeds: Annotated[
+        Seeds, Meta(title="Seeds", description="How many (0, 1, ...), or a list: of drops, agents and jitter.")
+    ] = 20
+    scenes: Annotated[
+        tuple[str, ...], Meta(title="Scenes", description="None takes the scene that each scenario names.")
+    ] = ()
+    jitter: Annotated[Jitter, Meta(title="Jitter", description="How far seeds other than 0 vary the start.")] = Jitter()
+    backend: Annotated[
+        Backend, Meta(title="Back end", description="What draws; cpu gives the same bytes on every machine.")
+    ] = "auto"
+    output: Annotated[str | None, Meta(title="Output", description="Folder of rows and tables.")] = None
+
+
+class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):
+    """Clips or frames with labels: a data set. The labels of a view are the same at every intensity."""
+
+    recording: Annotated[
+        Recording,
+        Meta(
+            title="Recording", description="As gsrain render takes it; its output is a name in the clip's own folder."
+        ),
+    ]
+    scenes: Annotated[tuple[str, ...], Meta(min_length=1, title="Scenes")] = ("street",)
+    intensities_mm_h: Annotated[
+        tuple[Intensity, ...], Meta(min_length=1, title="Intensities", extra={"unit": "mm/h"})
+    ] = (0.0, 1.2, 8.5, 12.0)
+    seeds: Annotated[Seeds, Meta(title="Seeds", description="How many (0, 1, ...), or a list: of drops.")] = 1
+    rain: Annotated[Rain, Meta(title="Rain", description="Everything but intensity and seed.")] = Rain()
+    labels: Annotated[
+        LabelFormat | None, Meta(title="Labels", description="coco or kitti; needs a scene with actors.")
+    ] = None
+    backend: Annotated[
+        Backend, Meta(title="Back end", description="What draws; cpu gives the same bytes on every machine.")
+    ] = "auto"
+    output: Annotated[str | None, Meta(title="Output", description="Folder of rows, clips and tables.")] = None
+
+
+Sweep = DriveSweep | RenderSweep
+
+
+def seeds_of(sweep: Sweep) -> tuple[int, ...]:
+    """Return the seeds of a sweep, each once."""
+    return tuple(range(sweep.seeds)) if isinstance(sweep.seeds, int) else tuple(dict.fromkeys(sweep.seeds))
+
+
+def sweep_names() -> list[str]:
+    return shipped_names(_FOLDER)
+
+
+def load_sweep(name: str | Path) -> Sweep:
+    """Load a shipped sweep by name, or a sweep file by path.
+
+    Files that it names are looked for in its own folder first, then in the working folder; `output` counts from the
+    latter. Raises ValueError with the file, the field and what is allowed.
+    """
+    known = {STREET, *scenario_names(), *agent_names(), *description_names(), *calibration_names()}
+    values = load_config(_FOLDER, name, object, "sweep", _FILES, known)
+    try:
+        return converted(values, Sweep)
+    except ValueError as error:
+        raise ValueError(f"sweep {name}: {error}") from None
+
+
+_MOST_SIGMAS = 2.0
+
+_FASTEST_M_S = 60.0
+
+
+def jittered(scenario: Scenario, jitter: Jitter, seed: int) -> Scenario:
+    """Return a scenario as a seed begins it. Seed 0 is the scenario as it was written.
+
+    Neither the rain nor the agent takes part: drives of one seed begin alike at every intensity, for every agent.
+    """
+    if seed == 0:
+        return scenario
+    draw = _Draw(np.random.default_rng([seed, zlib.crc32(scenario.name.encode())]))
+    speed = _speed(scenario.speed_m_s + draw(jitter.ego_speed_m_s))
+    users = tuple(
+        structs.replace(
+            user,
+            ahead_m=user.ahead_m + draw(jitter.ahead_m),
+            left_m=user.left_m + draw(jitter.left_m),
+            speed_m_s=_speed(user.speed_m_s + draw(jitter.speed_m_s)) if user.speed_m_s > 0 else draw(0.0),
+        )
+        for user in scenario.road_users
+    )
+    return structs.replace(scenario, speed_m_s=speed, road_users=users)
+
+
+class _Draw:
+    """Every call takes one number, used or not: to change one deviation leaves what the others give."""
+
+    def __init__(self, random: np.random.Generator) -> None:
+        self._random = random
+
+    def __call__(self, sigma: float) -> float:
+        return sigma * float(np.clip(self._random.standard_normal(), -_MOST_SIGMAS, _MOST_SIGMAS))
+
+
+def _speed(value: float) -> float:
+    return float(np.clip(value, 0.0, _FASTEST_M_S))

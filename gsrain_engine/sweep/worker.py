@@ -1,0 +1,267 @@
+"""What a worker does with a job, wherever it runs: it answers, whatever happens."""
+
+import errno
+import hashlib
+import os
+import platform
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct, structs
+
+from ..backends import Backend, open_renderer
+from ..rain.simulation import Rainfall
+from ..render.export import frame_numbers, record, sequences_of
+from ..render.label_export import write_object_labels
+from ..render.renderer import Renderer
+from ..scene.camera import Camera
+from ..scene.camera_path import CameraPath
+from ..scene.files import whole_folder
+from ..scene.open import open_to_draw
+from ..scene.rig import drive_path
+from ..scene.scene import Scene
+from ..scene.scene_hash import file_hash, scene_hash
+from ..simulation.agents.registry import AgentOptions, open_agent
+from ..simulation.metrics.summary import measured
+from ..simulation.obstacles import drivable_of
+from ..simulation.rollout import Rollout
+from ..simulation.simulation import Simulation, drive_through
+from ..trusted_code import UntrustedCodeError, trust
+from .expansion import DriveJob, Job, RenderJob, program_version, software
+from .settings import AgentChoice
+
+_FULL = {errno.ENOSPC, errno.EDQUOT}
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Compiled kernels use all threads of a process: two jobs in one would only wait for each other."""
+
+# § What came of a job.
+
+Value = str | float | int | bool | None
+
+
+class Outcome(Struct, frozen=True, kw_only=True):
+    """A result, or why there is none. All but the last two fields follow from the job alone."""
+
+    id: str
+    """Of the job."""
+    values: dict[str, Value] = {}
+    """What was measured: columns of its row."""
+    rollout: Rollout | None = None
+    """Of a drive."""
+    error: str | None = None
+    """Why it failed, as a sentence."""
+    stops: bool = False
+    """Whether nothing else would come out of the other jobs either, such as on a full disk."""
+    seconds: float = 0.0
+    """For the log."""
+    worker: str = ""
+    """Who did it, for the log."""
+
+
+def do(job: Job, clips: Path, trusted: Collection[str] = ()) -> Outcome:
+    """Do a job; what it raises becomes the outcome's error.
+
+    `clips` is where clips go; `trusted` are digests of the agents' code that a person has allowed.
+    """
+    started = time.perf_counter()
+    with _ONE_AT_A_TIME:
+        try:
+            trust(trusted)
+            _check_program(job)
+            bench = workbench()
+            bench.check_files(job.files)
+            outcome = do_drive(job, bench) if isinstance(job, DriveJob) else do_render(job, bench, clips)
+        except Exception as error:
+            stops = isinstance(error, MismatchError | UntrustedCodeError) or _is_full(error)
+            outcome = Outcome(id=job.id, error=_sentence(error), stops=stops)
+    values = {**outcome.values, "software": ", ".join(f"{name} {each}" for name, each in software().items())}
+    return structs.replace(
+        outcome, values=values, seconds=time.perf_counter() - started, worker=f"{platform.node()} {os.getpid()}"
+    )
+
+
+def _check_program(job: Job) -> None:
+    here = program_version()
+    if job.program != here:
+        raise MismatchError(f"a worker runs gsrain {here}, the sweep was made by gsrain {job.program}")
+
+
+def _sentence(error: Exception) -> str:
+    said = " ".join(str(error).split()) or type(error).__name__
+    return said if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {said}"
+
+
+def _is_full(error: BaseException | None) -> bool:
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in _FULL:
+            return True
+        error = error.__cause__
+    return False
+
+
+# § What a worker keeps from job to job: the scene that it has opened, and the renderer.
+
+
+class MismatchError(ValueError):
+    """What a worker has is not what the sweep was made of: that says nothing about the job."""
+
+
+_SCENES = 2
+"""So many stay open; jobs come sorted by scene."""
+
+
+class Workbench:
+    """Scenes and renderers, opened when they are first asked for."""
+
+    def __init__(self) -> None:
+        self._scenes: OrderedDict[tuple[str, str], Scene] = OrderedDict()
+        self._renderers: dict[Backend, Renderer] = {}
+        self._stack = ExitStack()
+
+    def scene(self, name: str, content: str) -> Scene:
+        """Return a scene, which holds what its hash says.
+
+        Raises MismatchError where it holds something else by now.
+        """
+        key = name, content
+        if key not in self._scenes:
+            found = scene_hash(name)
+            if found != content:
+                raise MismatchError(f"scene {name} is not what it was when the sweep began ({found}, not {content})")
+            while len(self._scenes) >= _SCENES:
+                self._scenes.popitem(last=False)
+            self._scenes[key] = open_to_draw(name)
+        self._scenes.move_to_end(key)
+        return self._scenes[key]
+
+    def check_files(self, hashes: Mapping[str, str]) -> None:
+        """Raise MismatchError for a file that is not here, or holds something else than its hash says."""
+        for name, content in hashes.items():
+            path = Path(name)
+            found = file_hash(path) if path.is_file() else "not there"
+            if found != content:
+                raise MismatchError(f"{name} is not what it was when the sweep began ({found}, not {content})")
+
+    def renderer(self, backend: Backend) -> Renderer:
+        """Return a renderer, which stays open until `close`."""
+        if backend not in self._renderers:
+            self._renderers[backend] = self._stack.enter_context(open_renderer(backend))
+        return self._renderers[backend]
+
+    def close(self) -> None:
+        """Let go of everything; it may be used again."""
+        self._scenes.clear()
+        self._renderers.clear()
+        self._stack.close()
+
+
+_HERE = threading.local()
+
+
+def workbench() -> Workbench:
+    """Return that of this thread: what draws belongs to the thread that opened it."""
+    if not hasattr(_HERE, "bench"):
+        _HERE.bench = Workbench()
+    return _HERE.bench
+
+
+# § Does a drive of a sweep: what its row and its roll-out hold.
+
+
+def do_drive(job: DriveJob, bench: Workbench) -> Outcome:
+    """Drive from start to end. Raises whatever the scenario, the scene or the agent has against it."""
+    scene = bench.scene(job.scene, job.scene_hash)
+    agent = open_agent(job.agent.name, _options(job.agent), trusted_only=True)
+    try:
+        renderer = bench.renderer(job.backend) if agent.needs.cameras else None
+        simulation = Simulation(job.scenario, scene, agent.needs, renderer, job.seed)
+        rollout = _recorded(drive_through(simulation, agent), job)
+        drivable = drivable_of(scene, simulation.ground, simulation.occupied)
+        metrics = measured(rollout, simulation.occupied, drivable)
+    finally:
+        agent.close()
+    msgspec.json.encode(rollout)  # what an agent notes down may be anything: here it is this job's fault
+    return Outcome(id=job.id, values=msgspec.to_builtins(metrics), rollout=rollout)
+
+
+def _recorded(rollout: Rollout, job: DriveJob) -> Rollout:
+    return msgspec.structs.replace(rollout, scene_hash=job.scene_hash, software={**rollout.software, **software()})
+
+
+def _options(choice: AgentChoice) -> AgentOptions:
+    detector = None if choice.detector is None else Path(choice.detector)
+    return AgentOptions(detector=detector, description=choice.description, url=choice.url)
+
+
+# § Does a clip of a sweep: pictures, labels, and the row that says what they show.
+
+
+def do_render(job: RenderJob, bench: Workbench, clips: Path) -> Outcome:
+    """Record into a folder of the job's id, which appears whole; one that stands is an equal one and stays.
+
+    Raises ValueError for what contradicts itself or the scene lacks, OSError where it can't be written.
+    """
+    scene = bench.scene(job.scene, job.scene_hash)
+    place = clips / job.id
+    values = _values(job, scene)
+    clips.mkdir(parents=True, exist_ok=True)
+    if not place.is_dir():
+        try:
+            with whole_folder(place, shared=True) as beside:
+                _record(job, scene, bench, beside)
+        except OSError:
+            if not place.is_dir():  # else another sweep has put the same clip there meanwhile
+                raise
+    return Outcome(id=job.id, values={**values, "clip": f"{clips.name}/{job.id}", "clip_hash": _hash(place)})
+
+
+def _record(job: RenderJob, scene: Scene, bench: Workbench, folder: Path) -> None:
+    recording = structs.replace(job.recording, output=str(folder / job.recording.output))
+    rainfall = Rainfall.start(job.rain)
+    sequences = sequences_of(recording, scene, rainfall, _viewpoint(job, scene), in_scene_time=True)
+    numbers = frame_numbers(recording, sequences)
+    renderer = bench.renderer(job.backend)
+    for _ in record(renderer, recording, sequences, numbers):
+        pass
+    if job.labels is not None:
+        for _ in write_object_labels(renderer, job.labels, recording, sequences, numbers):
+            pass
+
+
+def _values(job: RenderJob, scene: Scene) -> dict[str, Value]:
+    """What can be said about it without its pictures."""
+    sequences = sequences_of(job.recording, scene, Rainfall.start(job.rain), _viewpoint(job, scene), in_scene_time=True)
+    state = Rainfall.start(job.rain).state_at(job.recording.first_s)
+    sizes = {f"{each.width}x{each.height}" for each in sequences.values()}
+    return {
+        "cameras": len(sequences),
+        "frames": len(frame_numbers(job.recording, sequences)),
+        "sizes_px": ", ".join(sorted(sizes)),
+        "implied_mm_h": float(state.implied_mm_h),
+        "drops": int(state.drops),
+    }
+
+
+def _viewpoint(job: RenderJob, scene: Scene) -> Camera | CameraPath:
+    """The path that was made for the scene, else that of the camera which looks most straight ahead."""
+    if scene.path is not None:
+        return scene.path.moved(scene.scene_to_world)
+    mounted = [camera for rig in scene.rigs.values() for camera in rig]
+    if not mounted or scene.ego is None:
+        raise ValueError(f"scene {scene.name!r} has neither a camera path nor an ego vehicle with cameras")
+    front = max(mounted, key=lambda each: each.camera_to_ego[0, 2])
+    return drive_path(scene, front, *(job.recording.size_px or (front.width, front.height)))
+
+
+def _hash(folder: Path) -> str:
+    found = hashlib.sha256()
+    files: Sequence[Path] = sorted(each for each in folder.rglob("*") if each.is_file())
+    for file in files:
+        found.update(f"{file.relative_to(folder).as_posix()}\0{file_hash(file)}\n".encode())
+    return found.hexdigest()[:16]

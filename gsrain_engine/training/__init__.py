@@ -1,0 +1,1 @@
+"""Gaussians from images: initialization, optimization, densification."""

@@ -1,0 +1,185 @@
+"""Finds the ego's own body in pictures of a drive: what stays in its place although the world moves past."""
+
+import logging
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Float64
+
+from ..datasets.capture import View
+from ..datasets.geometry import scaled_camera
+from ..datasets.masks import pixel_rays, with_camera_masks
+from ..scene.camera import Camera
+
+logger = logging.getLogger("gsrain")
+
+_WIDTH = 240
+"""The search is done in pictures of this width."""
+
+_FRAMES, _OTHERS = 8, 8
+"""So many pictures of a camera are looked at, each beside so many others, the nearest in time."""
+
+_LEAST_FRAMES = 3
+
+_CLIP = 0.1
+"""A pixel's evidence is at most this difference of colour (0..1)."""
+
+_PRIOR = 0.02
+"""Evidence, a pixel, below which it is taken for the world."""
+
+_EDGE, _SLOPE, _STEEPEST = 20.0, 0.15, 4
+"""Weights of an edge that stays under the contour and of its ups and downs; steepest way, in pixels a column."""
+
+_LOWEST_PART = 0.55
+"""Only the lower part of a picture is searched: there the road is near and moves."""
+
+_LEAST_GAIN = 0.01
+"""Mean evidence that the region must have over the prior, in colour."""
+
+_PROPORTIONS = 0.05
+"""Pictures of a camera whose sides' ratio is so far from the middle one's were turned or cut: they are not compared."""
+
+
+class _Small:
+    """One picture, small: its colours, its edges, and where its pixels lie in the world."""
+
+    def __init__(self, view: View, depth: Float32[np.ndarray, "h w"], size: tuple[int, int]) -> None:
+        width, height = size
+        self.camera: Camera = scaled_camera(view.camera, width, height)
+        self.time_s, self.sensor = view.time_s, view.sensor
+        color = cv2.resize(view.image, (width, height), interpolation=cv2.INTER_AREA)
+        color = cv2.GaussianBlur(color.astype(np.float32) / 255, (0, 0), 0.7)
+        gray = color.mean(axis=2)
+        edges = [cv2.Sobel(gray, cv2.CV_32F, 1, 0) / 8, cv2.Sobel(gray, cv2.CV_32F, 0, 1) / 8]
+        self.channels = np.dstack([color, *edges])
+        """Red, green, blue; change of brightness a pixel, across and down."""
+        self.depth = cv2.resize(depth, (width, height), interpolation=cv2.INTER_NEAREST)
+        self.places = self.camera.position + self.depth[..., None] * pixel_rays(self.camera)
+
+    def seen_in(self, other: "_Small") -> Float32[np.ndarray, "h w 2"]:
+        """How differently another picture shows the places of this one's pixels, see `_difference`; inf if not."""
+        local = self.places @ other.camera.world_to_camera[:3, :3].T + other.camera.world_to_camera[:3, 3]
+        z = np.where((local[..., 2] > 0.3) & (self.depth > 0), local[..., 2], np.inf)
+        u = local[..., 0] / z * other.camera.fx + other.camera.cx - 0.5
+        v = local[..., 1] / z * other.camera.fy + other.camera.cy - 0.5
+        inside = np.isfinite(z) & (u >= 0) & (v >= 0) & (u <= other.camera.width - 1) & (v <= other.camera.height - 1)
+        planes = cv2.split(other.channels)
+        taken = np.dstack([cv2.remap(p, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR) for p in planes])
+        return np.where(inside[..., None], _difference(taken, self.channels), np.inf).astype(np.float32)
+
+
+def _difference(one: Float32[np.ndarray, "h w 5"], other: Float32[np.ndarray, "h w 5"]) -> Float32[np.ndarray, "h w 2"]:
+    """Of colour (mean of the three), and of edges (length)."""
+    apart = np.abs(one - other)
+    return np.stack([apart[..., :3].mean(axis=2), np.hypot(apart[..., 3], apart[..., 4])], axis=-1)
+
+
+def ego_masks(
+    views: Sequence[View], depths: Sequence[Float32[np.ndarray, "_ _"]]
+) -> dict[str, Bool[np.ndarray, "_ _"]]:
+    """By sensor, which pixels show the world, in cameras that have a part of the ego's body at their lower edge.
+
+    Two explanations of each pixel compete: it belongs to the ego, so that all pictures of the camera are alike there,
+    or to the surface whose depth is given, so that all pictures which see that place are. The contour that separates
+    both best, along edges that stay, is found by dynamic programming from column to column; a camera without clear
+    evidence has no mask, and neither has one that stood still.
+
+    Args:
+        views: Without distortion. Their sizes may differ by a few pixels, as they do after undistortion by one camera a
+            picture; those with other proportions than most of their sensor's are not looked at.
+        depths: Of the static scene, completed down to the lower edge (`completed_depth`).
+    """
+    found: dict[str, Bool[np.ndarray, "_ _"]] = {}
+    for sensor in dict.fromkeys(view.sensor for view in views):
+        rows = _alike(views, sensor)
+        if len(rows) < _LEAST_FRAMES:
+            continue
+        camera = views[rows[0]].camera
+        width = min(_WIDTH, *(views[row].camera.width for row in rows))
+        size = width, max(round(camera.height * width / camera.width), 1)
+        own = [_Small(views[row], depths[row], size) for row in rows]
+        contour = _contour(_evidence(own))
+        if contour is not None:
+            found[sensor] = _above(contour, own[0].camera, camera)
+    return found
+
+
+def without_ego(
+    views: Sequence[View], depths: Sequence[Float32[np.ndarray, "_ _"]]
+) -> tuple[list[View], dict[str, float]]:
+    """Take the ego's own body out of the views' masks, where `ego_masks` finds one; the log says in which cameras.
+
+    Returns the views, and by sensor the share (0..1) of its pictures that the body covers.
+    """
+    masks = ego_masks(views, depths)
+    shares = {sensor: 1 - float(mask.mean()) for sensor, mask in masks.items()}
+    for sensor, share in shares.items():
+        logger.info(
+            "%s shows the ego's own body in %.0f %% of its picture: left out", sensor or "the camera", 100 * share
+        )
+    alike = {row for sensor in masks for row in _alike(views, sensor)}
+    ready = [with_camera_masks([view], masks)[0] if row in alike else view for row, view in enumerate(views)]
+    return ready, shares
+
+
+def _alike(views: Sequence[View], sensor: str) -> list[int]:
+    """Rows of a sensor's views that have the proportions of its middle one, but for a few pixels."""
+    rows = [row for row, view in enumerate(views) if view.sensor == sensor]
+    ratios = [views[row].camera.height / views[row].camera.width for row in rows]
+    middle = sorted(ratios)[len(ratios) // 2]
+    return [row for row, ratio in zip(rows, ratios, strict=True) if abs(ratio / middle - 1) <= _PROPORTIONS]
+
+
+def _evidence(own: Sequence[_Small]) -> Float32[np.ndarray, "h w 2"]:
+    """By how much the world explains colour and edges of a pixel worse than the ego does, 0 where neither is better.
+
+    The world need not explain it in all other pictures: there, the ego may hide it.
+    """
+    middle = np.median([each.channels for each in own], axis=0).astype(np.float32)
+    total = np.zeros((*own[0].depth.shape, 2), np.float32)
+    count = np.zeros((*own[0].depth.shape, 1), np.float32)
+    for each in [own[int(k)] for k in np.linspace(0, len(own) - 1, min(_FRAMES, len(own)))]:
+        others = sorted((o for o in own if o is not each), key=lambda o: abs(o.time_s - each.time_s))[:_OTHERS]
+        errors = np.sort([each.seen_in(other) for other in others], axis=0)
+        seen = np.isfinite(errors).sum(axis=0)
+        as_world = np.take_along_axis(errors, (seen[None] - 1) // 4, axis=0)[0]  # the lower quartile
+        known = seen[..., :1] > 0
+        worse = np.where(known, as_world, 0) - _difference(each.channels, middle)
+        total += np.where(known, np.clip(worse, -_CLIP, _CLIP), 0)
+        count += known
+    return total / np.maximum(count, 1)
+
+
+def _contour(evidence: Float32[np.ndarray, "h w 2"]) -> Float64[np.ndarray, " w"] | None:
+    """First row of the ego in each column (the height where it is not in it); None without enough evidence."""
+    color, edges = evidence[..., 0], np.maximum(evidence[..., 1], 0)
+    height, width = color.shape
+    gain = np.zeros((height + 1, width))
+    gain[:height] = np.cumsum((color - _PRIOR)[::-1], axis=0)[::-1] + _EDGE * edges
+    gain[: round(_LOWEST_PART * height)] = -np.inf
+    best, back = gain[:, 0].copy(), np.zeros((height + 1, width), np.int64)
+    ways = np.arange(-_STEEPEST, _STEEPEST + 1)
+    for column in range(1, width):
+        source = np.arange(height + 1)[:, None] + ways
+        values = np.where((source >= 0) & (source <= height), best[np.clip(source, 0, height)], -np.inf)
+        values = values - _SLOPE * np.abs(ways)
+        choice = values.argmax(axis=1)
+        back[:, column] = np.clip(np.arange(height + 1) + ways[choice], 0, height)
+        best = values[np.arange(height + 1), choice] + gain[:, column]
+    rows = np.full(width, height)
+    rows[-1] = int(best.argmax())
+    for column in range(width - 1, 0, -1):
+        rows[column - 1] = back[rows[column], column]
+    region = np.arange(height)[:, None] >= rows[None, :]
+    if not region.any() or float(color[region].mean()) < _PRIOR + _LEAST_GAIN:
+        return None
+    return rows.astype(np.float64)
+
+
+def _above(rows: Float64[np.ndarray, " w"], small: Camera, camera: Camera) -> Bool[np.ndarray, "h w"]:
+    """Pixels above a contour that was found in a smaller picture, with a margin of one of its pixels."""
+    scale = camera.width / small.width
+    columns = (np.arange(camera.width) + 0.5) / scale - 0.5
+    first = np.interp(columns, np.arange(len(rows)), np.where(rows < small.height, rows - 1, small.height)) * scale
+    return np.arange(camera.height)[:, None] < first[None, :]

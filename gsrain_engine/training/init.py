@@ -1,0 +1,512 @@
+"""Gaussians to begin a training with: surfaces that lidar, depth or points tell of, in the colours of the views."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Float64
+from scipy.ndimage import uniform_filter
+from scipy.spatial import KDTree
+
+from ..datasets.capture import Capture, TrackedBox, View
+from ..datasets.completed_depth import completed_depth
+from ..datasets.depth_maps import KnownDepth, known_depth, measured_depths, road_drop
+from ..datasets.geometry import lidar_depth
+from ..datasets.masks import box_outline, can_move, inside_box, moves, moving_boxes, pixel_rays, static_mask
+from ..datasets.sky_masks import sky_masks
+from ..render.cpu.renderer import CpuRenderer
+from ..scene.gaussians import Gaussians, sh_from_color
+from ..scene.geometry import normalized, quaternions_from_matrices
+from ..scene.scene import Actor, Part
+from .surfels import Surfels, camera_way, cell_means, cells, point_colors, projected, shortened, surfels_of_view
+
+SURFACE_OPACITY = 0.85
+"""Of Gaussians whose place is known: together they cover it, and gradients still pass."""
+
+RANDOM_OPACITY = 0.1
+"""Of Gaussians whose place was guessed, as in 3DGS (Kerbl et al. 2023)."""
+
+_COVERED = 6 / 9
+"""So many Gaussians a cell, in a window of 3x3 cells, are enough."""
+
+_COARSER = 1.7
+"""Where those that are there are so many times larger than a cell, the nearer view adds its own."""
+
+_FOR_HOLES = 0.1
+"""Part of the budget that is kept for holes."""
+
+_FOR_GROUND, _FOR_PIECES = 0.05, 0.2
+"""Parts of the budget that are kept for the road under the ego, and with it for cutting what is too long."""
+
+_HOLE = 0.5
+"""Alpha below which a pixel with a surface counts as one."""
+
+_PAINTED_FROM = 4
+"""Pixels around a hole that its colours come from."""
+
+_LEAST_MEASURED = 12
+"""Measured pixels that a view must have, or it adds nothing."""
+
+
+def initial_gaussians(
+    capture: Capture, views: Sequence[View], budget: int, seed: int = 0, known: KnownDepth | None = None
+) -> Gaussians:
+    """Cover what the views see of the static scene with at most `budget` Gaussians, in the capture's world.
+
+    Where depth, lidar or points are known, each view is completed to dense depth and its cells of some pixels become
+    discs along the surface, unless earlier views have covered them; the cells are as small as the budget allows.
+    Where nothing is known, Gaussians are spread at random over what the cameras see. The sky is left out.
+
+    Args:
+        capture: Whose sweeps, points and boxes tell of the scene.
+        views: Those that are trained on, without distortion, in the size of the training (`prepared`).
+        budget: Most Gaussians; leave room for those that density control adds.
+        seed: Of what is random.
+        known: Depth and sky of the views; found here where not given.
+    """
+    known = known_depth(capture, views) if known is None else known
+    moving = moving_boxes(capture)
+    unmasked = [view.held() for view in views]
+    views = [replace(view, mask_source=static_mask(view, moving)) for view in unmasked]
+    if sum(int((depth > 0).sum()) >= _LEAST_MEASURED for depth in known.measured) == 0:
+        return _random_gaussians(views, known.skies, budget, seed)
+    depths = known.completed
+    hidden = [_hidden_by_movers(view, own) for view, own in zip(views, unmasked, strict=True)]
+    pixels = sum(view.camera.width * view.camera.height for view in views if view.time_s == views[0].time_s)
+    stride = max(int(np.sqrt(pixels / max(budget, 1)) / 2), 1)
+    while (surfels := _covering(views, depths, hidden, stride, round((1 - _FOR_HOLES - _FOR_PIECES) * budget))) is None:
+        stride += 1
+        if stride > max(view.camera.width for view in views):  # not even one for each view
+            raise ValueError(f"a budget of {budget} Gaussians is too small for {len(views)} views")
+    gaussians = _without_holes(surfels, views, depths, stride, round((1 - _FOR_PIECES) * budget))
+    way = camera_way(views, known.usual)
+    ground = hidden_ground(gaussians, views, way, capture.up, round(_FOR_GROUND * budget), SURFACE_OPACITY)
+    return shortened(Gaussians.concatenate([gaussians, ground]), way, budget)
+
+
+def _hidden_by_movers(view: View, unmasked: View) -> View | None:
+    """The view with what is behind the movers painted in from around them, to be seen there alone; None without any."""
+    mask, own = view.mask, unmasked.mask
+    assert mask is not None  # it was set to what is static
+    hidden = ~mask if own is None else own & ~mask
+    if not hidden.any():
+        return None
+    painted = cv2.inpaint(view.image, hidden.astype(np.uint8), _PAINTED_FROM, cv2.INPAINT_TELEA)
+    return replace(view, image_source=np.asarray(painted, np.uint8), mask_source=hidden)
+
+
+def _covering(
+    views: Sequence[View],
+    depths: Sequence[Float32[np.ndarray, "_ _"]],
+    hidden: Sequence[View | None],
+    stride: int,
+    budget: int,
+) -> Surfels | None:
+    """Cover one view after another, in the end what no view shows for movers; None where that exceeds the budget."""
+    nothing = np.zeros((0, 3), np.float32)
+    all_of_them = Surfels(nothing, np.zeros((0, 2, 3), np.float32), nothing)
+    last = [(view, depth) for view, depth in zip(hidden, depths, strict=True) if view is not None]
+    for view, depth in [*zip(views, depths, strict=True), *last]:
+        mask = view.mask
+        free = np.ones(depth.shape, np.bool_) if mask is None else mask
+        wanted = (cell_means(free[..., None], stride)[..., 0] > 0.5) & ~_covered(all_of_them, view, depth, stride)
+        all_of_them = Surfels.joined([all_of_them, surfels_of_view(view, depth, stride, wanted)])
+        if len(all_of_them) > budget:
+            return None
+    return all_of_them
+
+
+def _without_holes(
+    surfels: Surfels, views: Sequence[View], depths: Sequence[Float32[np.ndarray, "_ _"]], stride: int, budget: int
+) -> Gaussians:
+    """Draw the discs as each view sees them, and add more where too little is drawn: seams between views, mostly."""
+    gaussians, renderer = surfels.gaussians(SURFACE_OPACITY), CpuRenderer()
+    for view, depth in zip(views, depths, strict=True):
+        mask = view.mask
+        renderer.draw([Part(gaussians, np.eye(4))], view.camera)
+        empty = (renderer.read().rgba[..., 3] < _HOLE) & (depth > 0)
+        empty = empty if mask is None else empty & mask
+        more = surfels_of_view(view, depth, stride, cell_means(empty[..., None], stride)[..., 0] > 0.5)
+        room = budget - len(gaussians)
+        gaussians = Gaussians.concatenate([gaussians, more.gaussians(SURFACE_OPACITY).take(slice(0, max(room, 0)))])
+    return gaussians
+
+
+def _covered(
+    surfels: Surfels, view: View, depth: Float32[np.ndarray, "h w"], stride: int
+) -> Bool[np.ndarray, "rows columns"]:
+    """Which cells of a view have enough Gaussians that are fine enough and not behind its own surface."""
+    rows, columns = cells(view.camera, stride)
+    index, row, column, z = projected(surfels.means, view.camera)
+    size = np.linalg.norm(surfels.axes[index], axis=2).min(axis=1)
+    surface = depth[row, column]
+    counts = (size * view.camera.fx / z < _COARSER * stride) & ((surface <= 0) | (z < 1.3 * surface))
+    flat = (row[counts] // stride) * columns + column[counts] // stride
+    density = np.bincount(flat, minlength=rows * columns).reshape(rows, columns).astype(np.float32)
+    return uniform_filter(np.minimum(density, 2.0), 3, mode="nearest") >= np.float32(_COVERED - 1e-3)
+
+
+def _random_gaussians(
+    views: Sequence[View], skies: Sequence[Bool[np.ndarray, "_ _"]], budget: int, seed: int
+) -> Gaussians:
+    """Spread Gaussians over what the cameras see, evenly in inverse distance from a length that their spread tells."""
+    random = np.random.default_rng(seed)
+    eyes = np.array([view.camera.position for view in views])
+    spread = float(np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max())
+    near = 0.5 * spread if spread > 0 else 1.0
+    share = -(-budget // len(views))
+    places: list[Float64[np.ndarray, "m 3"]] = []
+    for view, sky in zip(views, skies, strict=True):
+        choice = np.flatnonzero(~sky if view.mask is None else ~sky & view.mask)
+        if len(choice):
+            at = random.choice(choice, share)
+            distance = near / random.uniform(1 / 50, 1, share)
+            rays = pixel_rays(view.camera).reshape(-1, 3)[at]
+            places.append(view.camera.position + rays * distance[:, None])
+    if not places:
+        return Gaussians.empty()
+    points = np.concatenate(places)[:budget]
+    colors, _ = point_colors(points, views, [np.zeros_like(sky, np.float32) for sky in skies])
+    return round_gaussians(points, colors, RANDOM_OPACITY)
+
+
+def round_gaussians(
+    points: Float64[np.ndarray, "n 3"], colors: Float32[np.ndarray, "n 3"], opacity: float
+) -> Gaussians:
+    """Spheres as large as the mean distance to the three nearest others (Kerbl et al. 2023), outliers clipped."""
+    n = len(points)
+    sizes = np.ones(n)
+    if n > 1:
+        distances = KDTree(points).query(points, min(4, n))[0][:, 1:]
+        sizes = np.sqrt((distances**2).mean(axis=1))
+        sizes = np.clip(sizes, max(float(np.quantile(sizes, 0.02)), 1e-6), max(float(np.quantile(sizes, 0.98)), 1e-6))
+    return Gaussians(
+        points.astype(np.float32),
+        np.repeat(sizes[:, None], 3, axis=1).astype(np.float32),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+        np.full(n, opacity, np.float32),
+        sh_from_color(colors),
+    )
+
+
+# § The road that no picture shows, because the ego's own body hid it: what lies around it is carried on.
+
+_REACH = 3.5
+"""How far around the cameras the road is carried on, over their height above it: the length of a car."""
+
+_FLAT = 0.25
+"""Most height over and under the road, over that of the cameras, of what belongs to it."""
+
+_SPACING, _COARSEST = 0.06, 0.25
+"""Of the new discs, over the height of the cameras: some 9 cm, and 40 at most."""
+
+_SIGMA, _THICKNESS = 0.7, 0.05
+"""Of a disc along the road and across it, over the spacing."""
+
+_COVERS = 2.0
+"""So many of its standard deviations around a disc there is no hole."""
+
+_NEIGHBOURS = 12
+
+_LEAST_ROAD = 100
+
+
+def hidden_ground(
+    surface: Gaussians,
+    views: Sequence[View],
+    way: Float64[np.ndarray, "p 3"],
+    up: tuple[float, float, float],
+    most: int,
+    opacity: float,
+) -> Gaussians:
+    """Discs where the road under and around the cameras has holes, in the height and colour of the road next to them.
+
+    Args:
+        surface: Of the static scene, in the capture's world; the road is what lies flat and low in it.
+        views: Whose cameras drove over that road.
+        way: Where the cameras went, see `camera_way`.
+        up: Upward direction.
+        most: Number of discs; where that is too few, they are larger, and where they are too large there are none.
+        opacity: Of the discs.
+
+    Returns:
+        None at all where no road is found under the cameras.
+    """
+    frame = _frame(up)
+    drop = road_drop(surface.means.astype(np.float64), views, up) if len(surface) else None
+    if drop is None:
+        return surface.take(slice(0, 0))
+    way = way @ frame.T
+    places = surface.means.astype(np.float64) @ frame.T
+    distance, nearest = KDTree(way[:, :2]).query(places[:, :2])
+    is_road = (distance < 3 * _REACH * drop) & (np.abs(way[nearest, 2] - drop - places[:, 2]) < _FLAT * drop)
+    road = surface.take(np.flatnonzero(is_road))
+    if len(road) < _LEAST_ROAD:
+        return surface.take(slice(0, 0))
+    known = places[is_road]
+    tree = KDTree(known[:, :2])
+    covered = np.sqrt(np.sort(road.scales, axis=1)[:, 1:].prod(axis=1)) * _COVERS
+    spacing = _SPACING * drop
+    while len(holes := _holes(way[:, :2], spacing, _REACH * drop, tree, covered)) > most and spacing < _COARSEST * drop:
+        spacing *= 1.3
+    if not 0 < len(holes) <= most:
+        return surface.take(slice(0, 0))
+    apart, neighbours = tree.query(holes, _NEIGHBOURS)
+    weight = 1 / np.maximum(apart, spacing) ** 2
+    weight /= weight.sum(axis=1, keepdims=True)
+    heights = (weight * known[neighbours, 2]).sum(axis=1)
+    turn = quaternions_from_matrices(frame.T * [1, 1, np.sign(np.linalg.det(frame))])
+    return Gaussians(
+        (np.column_stack([holes, heights]) @ frame).astype(np.float32),
+        np.tile((np.array([_SIGMA, _SIGMA, _THICKNESS]) * spacing).astype(np.float32), (len(holes), 1)),
+        np.tile(turn.astype(np.float32), (len(holes), 1)),
+        np.full(len(holes), opacity, np.float32),
+        np.einsum("nm,nmkc->nkc", weight, road.sh[neighbours]).astype(np.float32),
+    )
+
+
+def _frame(up: tuple[float, float, float]) -> Float64[np.ndarray, "3 3"]:
+    """Rows: two level directions and the upward one."""
+    axis = np.array(up, np.float64) / np.linalg.norm(up)
+    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    side /= np.linalg.norm(side)
+    return np.stack([side, np.cross(axis, side), axis])
+
+
+def _holes(
+    way: Float64[np.ndarray, "p 2"], spacing: float, reach: float, road: KDTree, covered: Float32[np.ndarray, " r"]
+) -> Float64[np.ndarray, "h 2"]:
+    """Places of a grid near the way that no piece of road covers."""
+    low, high = way.min(axis=0) - reach, way.max(axis=0) + reach
+    axes = [np.arange(low[k], high[k], spacing) for k in range(2)]
+    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    grid = grid[np.isfinite(KDTree(way).query(grid, distance_upper_bound=reach)[0])]
+    apart, nearest = road.query(grid)
+    return grid[apart > np.maximum(covered[nearest], spacing)]
+
+
+# § The sky as a dome of Gaussians far around a scene, in the colours that the views show above it.
+
+SKY_GAUSSIANS = 8000
+"""On the upper half of the dome they are 1.6 degrees apart: clouds, not leaves."""
+
+_LOWEST = float(np.sin(np.radians(-3.0)))
+"""The dome reaches a little below the horizon: streets end before it."""
+
+_SPREAD, _SKY_THICKNESS, _OPACITY = 0.75, 0.02, 0.98
+"""Sigma along the dome over the spacing of directions, and across it over the same."""
+
+_BEYOND = 3.0
+"""Radius of the dome over the distance of what is far in the scene."""
+
+_LEAST_RADIUS = 400.0
+"""In metres, where lengths are metres."""
+
+_SAMPLES = 3
+"""Window of pixels, in each direction, whose mean is a direction's colour in one view."""
+
+
+def initial_sky(
+    capture: Capture,
+    views: Sequence[View],
+    surface: Gaussians,
+    skies: Sequence[Bool[np.ndarray, "_ _"]] | None = None,
+    count: int = SKY_GAUSSIANS,
+) -> Gaussians:
+    """Make a dome around the scene, of about `count` Gaussians; none where no view shows any sky.
+
+    Where views show sky, a direction has their median colour; elsewhere that of its neighbours, smoother the farther
+    away they are, so that someone who looks up or back sees a sky too.
+
+    Args:
+        capture: Tells which way is up, and whether lengths are metres.
+        views: Without distortion.
+        surface: The scene under the dome, in the capture's world.
+        skies: Pixels of each view that show the sky; found by `sky_masks` where not given.
+        count: How many Gaussians cover the dome.
+    """
+    if skies is None:
+        skies = sky_masks(views, measured_depths(capture, views), capture.up)
+    if not any(sky.any() for sky in skies):
+        return Gaussians.empty()
+    center = np.mean([view.camera.position for view in views], axis=0)
+    radius = dome_radius(surface, center, capture.is_metric)
+    directions = dome_directions(count, capture.up)
+    colors = _colors(directions, center + radius * directions, views, skies)
+    return _dome(directions, center, radius, colors)
+
+
+def dome_radius(surface: Gaussians, center: Float64[np.ndarray, "3"], is_metric: bool) -> float:
+    """How far away the sky stands: well beyond everything else, so that nothing of the scene is behind it."""
+    far = float(np.quantile(np.linalg.norm(surface.means - center, axis=1), 0.995)) if len(surface) else 1.0
+    return max(_BEYOND * far, _LEAST_RADIUS) if is_metric else _BEYOND * far
+
+
+def dome_directions(count: int, up: tuple[float, float, float]) -> Float64[np.ndarray, "n 3"]:
+    """Evenly spread unit vectors above the lowest elevation: a Fibonacci lattice on the sphere's upper part."""
+    height = _LOWEST + (1 - _LOWEST) * (np.arange(count) + 0.5) / count
+    angle = np.pi * (3 - np.sqrt(5)) * np.arange(count)
+    ring = np.sqrt(1 - height**2)
+    axis = np.array(up, np.float64) / np.linalg.norm(up)
+    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    side /= np.linalg.norm(side)
+    frame = np.stack([side, np.cross(axis, side), axis])
+    return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1) @ frame
+
+
+def _colors(
+    directions: Float64[np.ndarray, "n 3"],
+    places: Float64[np.ndarray, "n 3"],
+    views: Sequence[View],
+    skies: Sequence[Bool[np.ndarray, "_ _"]],
+) -> Float32[np.ndarray, "n 3"]:
+    """Median over the views that show a direction's sky; elsewhere the mean of known ones, weighted by nearness."""
+    samples: list[list[np.ndarray]] = [[] for _ in directions]
+    reach = range(-(_SAMPLES // 2), _SAMPLES // 2 + 1)
+    for view, sky in zip(views, skies, strict=True):
+        index, row, column, _ = projected(places, view.camera)
+        image, weight, total = view.image, np.zeros(len(index)), np.zeros((len(index), 3))
+        for down in reach:
+            for right in reach:
+                r = np.clip(row + down, 0, sky.shape[0] - 1)
+                c = np.clip(column + right, 0, sky.shape[1] - 1)
+                weight += sky[r, c]
+                total += sky[r, c, None] * image[r, c]
+        for k in np.flatnonzero(weight >= _SAMPLES**2 / 2):
+            samples[index[k]].append(total[k] / weight[k])
+    known = np.array([bool(each) for each in samples])
+    colors = np.zeros((len(directions), 3), np.float32)
+    if not known.any():  # specks of sky between the directions
+        all_sky = np.concatenate([view.image[sky] for view, sky in zip(views, skies, strict=True)])
+        return np.broadcast_to(np.median(all_sky, axis=0).astype(np.float32) / 255, colors.shape).copy()
+    colors[known] = [np.median(each, axis=0) / 255 for each in samples if each]
+    colors[~known] = _spread_out(directions[known], colors[known], directions[~known])
+    return colors
+
+
+def _spread_out(
+    known: Float64[np.ndarray, "k 3"], colors: Float32[np.ndarray, "k 3"], wanted: Float64[np.ndarray, "m 3"]
+) -> Float32[np.ndarray, "m 3"]:
+    if not len(wanted):
+        return np.zeros((0, 3), np.float32)
+    distance, index = KDTree(known).query(wanted, min(64, len(known)))
+    distance, index = distance.reshape(len(wanted), -1), index.reshape(len(wanted), -1)
+    weight = 1 / np.maximum(distance, 1e-6) ** 2
+    return ((weight[..., None] * colors[index]).sum(axis=1) / weight.sum(axis=1)[:, None]).astype(np.float32)
+
+
+def _dome(
+    directions: Float64[np.ndarray, "n 3"],
+    center: Float64[np.ndarray, "3"],
+    radius: float,
+    colors: Float32[np.ndarray, "n 3"],
+) -> Gaussians:
+    n = len(directions)
+    spacing = radius * np.sqrt(2 * np.pi * (1 - _LOWEST) / n)
+    # The turn that takes x to the direction: half way between both (1 + cos, axis * sin).
+    turns = np.stack([1 + directions[:, 0], np.zeros(n), -directions[:, 2], directions[:, 1]], axis=1)
+    turns[turns[:, 0] < 1e-6] = [0, 0, 0, 1]
+    return Gaussians(
+        (center + radius * directions).astype(np.float32),
+        np.tile(np.array([_SKY_THICKNESS, 1, 1]) * _SPREAD * spacing, (n, 1)).astype(np.float32),
+        normalized(turns).astype(np.float32),
+        np.full(n, _OPACITY, np.float32),
+        sh_from_color(colors),
+    )
+
+
+# § Actors to begin a training with: what lidar saw of each moving thing, gathered in the thing's own frame.
+
+LEAST_POINTS = 60
+"""Lidar points that an actor needs: fewer are a cloud, not a shape."""
+
+_MARGIN_M = 0.1
+
+_LIFT_M = 0.12
+"""Points lower than this in the box may be of the road."""
+
+_LEAST_SPACING_M = 0.04
+
+_MOST_VIEWS = 24
+
+
+def actor_layers(capture: Capture, views: Sequence[View], least_points: int = LEAST_POINTS) -> tuple[Actor, ...]:
+    """Make an actor of each moving vehicle or person that lidar saw enough of, on the track of its box.
+
+    Its points are those of all sweeps, in its own frame, where it has the same place in each; vehicles are completed
+    by their mirror image, since one side is seldom seen. Colours are those of the views that see it, at their times.
+
+    Args:
+        capture: With sweeps and boxes; without either there are no actors.
+        views: Without distortion.
+        least_points: Things with fewer are left out.
+    """
+    actors: list[Actor] = []
+    for box in capture.boxes:
+        if not (can_move(box) and moves(box)):
+            continue
+        points = points_of_box(capture, box)
+        if len(points) < least_points:
+            continue
+        points, is_mirrored = _with_mirror_image(points)
+        colors, seen = _actor_colors(capture, box, points, views)
+        if not seen.any():
+            continue
+        partner = np.where(is_mirrored, np.arange(len(points)) - is_mirrored.argmax(), -1)
+        borrowed = ~seen & (partner >= 0)  # what no view shows looks like the other side
+        colors[borrowed] = colors[partner[borrowed]]
+        known = seen | (borrowed & seen[partner])
+        colors[~known] = np.median(colors[known], axis=0)
+        gaussians = round_gaussians(points, colors, SURFACE_OPACITY)
+        actors.append(
+            Actor(id=box.id, class_name=box.class_name, size_lwh=box.size_lwh, gaussians=gaussians, track=box.track)
+        )
+    return tuple(actors)
+
+
+def points_of_box(capture: Capture, box: TrackedBox) -> Float64[np.ndarray, "p 3"]:
+    """Lidar points on a thing in its own frame (x forward, y left, z up, origin at the bottom centre), thinned."""
+    found = [np.zeros((0, 3))]
+    for sweep in capture.sweeps:
+        pose = box.track.pose(sweep.time_s)
+        if pose is not None:
+            points = sweep.points_m.astype(np.float64)
+            local = (points[inside_box(points, box, sweep.time_s, _MARGIN_M)] - pose[:3, 3]) @ pose[:3, :3]
+            found.append(local[local[:, 2] > _LIFT_M])
+    return _thinned(np.concatenate(found))
+
+
+def _thinned(points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, "q 3"]:
+    """One point a cell of the least spacing, the first."""
+    _, first = np.unique(np.floor(points / _LEAST_SPACING_M).astype(np.int64), axis=0, return_index=True)
+    return points[np.sort(first)]
+
+
+def _with_mirror_image(points: Float64[np.ndarray, "p 3"]) -> tuple[Float64[np.ndarray, "q 3"], Bool[np.ndarray, " q"]]:
+    """Append each point's mirror image across the thing's plane of symmetry."""
+    both = np.concatenate([points, points * [1, -1, 1]])
+    return both, np.arange(len(both)) >= len(points)
+
+
+def _actor_colors(
+    capture: Capture, box: TrackedBox, points: Float64[np.ndarray, "p 3"], views: Sequence[View]
+) -> tuple[Float32[np.ndarray, "p 3"], Bool[np.ndarray, " p"]]:
+    """Colours from the views that see the box, each brought into the thing's own frame at its time."""
+    own: list[View] = []
+    depths: list[Float32[np.ndarray, "_ _"]] = []
+    seen = [view for view in views if len(box_outline(view, box))]
+    seen.sort(key=lambda view: float(np.linalg.norm(_pose(box, view)[:3, 3] - view.camera.position)))
+    for view in seen[:_MOST_VIEWS]:
+        nearest = min(capture.sweeps, key=lambda sweep: abs(sweep.time_s - view.time_s))
+        own.append(replace(view, camera=view.camera.moved(np.linalg.inv(_pose(box, view))), mask_source=None))
+        depths.append(completed_depth(lidar_depth(view, [nearest])))
+    if not own:
+        return np.full((len(points), 3), 0.5, np.float32), np.zeros(len(points), np.bool_)
+    return point_colors(points, own, depths)
+
+
+def _pose(box: TrackedBox, view: View) -> Float64[np.ndarray, "4 4"]:
+    pose = box.track.pose(view.time_s)
+    assert pose is not None  # only views in which the box is there come here
+    return pose

@@ -1,0 +1,173 @@
+"""Density control as sampling (3DGS-MCMC, Kheradmand et al. 2024): relocate the dead, add slowly, shake a little."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, Shaped
+from scipy.special import comb
+
+from .parameters import SplatParameters, Tensor
+from .strategy import rotated
+
+torch: Any = import_module("torch")
+
+_STILL = 0.25
+"""Gaussians more opaque than this feel no noise: its factor is below 1e-10 there."""
+
+_STEEPNESS, _MIDDLE = 100.0, 0.995
+"""Of the logistic of transparency that scales the noise (Kheradmand et al. 2024, section 3.2)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MonteCarloSettings:
+    """When Gaussians move and how strongly they are shaken; the defaults are those of the paper for 30,000 steps."""
+
+    most: int
+    """Never more Gaussians than this."""
+    means_rate: Callable[[int], float]
+    """Learning rate of the means at a step: the noise follows it."""
+    first_step: int = 500
+    last_step: int = 25_000
+    every: int = 100
+    """Steps between two changes."""
+    growth: float = 0.05
+    """Part of the present number that is added at each change."""
+    dead_below: float = 0.005
+    """Opacity at which a Gaussian is dead."""
+    noise: float = 5e5
+    """Strength of the noise over the learning rate of the means."""
+    opacity_weight: float = 0.01
+    scale_weight: float = 0.01
+
+    @classmethod
+    def for_run(cls, steps: int, most: int, means_rate: Callable[[int], float]) -> "MonteCarloSettings":
+        """Scale the schedule to a run of so many steps, 30,000 being the paper's."""
+        share = min(steps / 30_000, 1.0)
+        return cls(
+            most=most,
+            means_rate=means_rate,
+            first_step=max(round(500 * share), 30),
+            last_step=round(25_000 * share),
+            every=max(round(100 * share), 25),
+        )
+
+
+class MonteCarloDensity:
+    """Takes Gaussians for samples of the scene: their number grows to a cap and nothing is ever lost."""
+
+    def __init__(self, settings: MonteCarloSettings) -> None:
+        self._settings = settings
+
+    def observe(self, step: int, rendered: Any, rows: slice | Tensor = slice(None)) -> None:
+        """Nothing is noted: opacity alone decides."""
+
+    def adapt(self, step: int, parameters: SplatParameters, generator: Tensor) -> str | None:
+        s = self._settings
+        done = None
+        with torch.no_grad():
+            if s.first_step <= step < s.last_step and step % s.every == 0:
+                moved = self._relocate(parameters, generator)
+                added = self._add(parameters, generator)
+                done = f"{moved} relocated, {added} added"
+            self._shake(parameters, s.means_rate(step) * s.noise, generator)
+        return done
+
+    def regularization(self, parameters: SplatParameters) -> Tensor | None:
+        """L1 of opacities and of scales, so that what isn't needed fades (section 3.3)."""
+        s = self._settings
+        return s.opacity_weight * parameters.opacities.mean() + s.scale_weight * parameters.scales.mean()
+
+    def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
+        """Return nothing: the parameters and the generator are all there is."""
+        return {}
+
+    def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
+        """Do nothing, see `state`."""
+
+    def _relocate(self, parameters: SplatParameters, generator: Tensor) -> int:
+        """Put dead Gaussians where live ones are, drawn by opacity, so that the picture stays as it is (eq. 9)."""
+        dead = torch.nonzero(parameters.opacities <= self._settings.dead_below)[:, 0]
+        alive = torch.nonzero(parameters.opacities > self._settings.dead_below)[:, 0]
+        if not len(dead) or not len(alive):
+            return 0
+        sources = alive[_drawn_by_opacity(parameters.opacities[alive], len(dead), generator)]
+        for name, values in self._shared_out(parameters, sources).items():
+            parameters.put(name, dead, values)
+        return len(dead)
+
+    def _add(self, parameters: SplatParameters, generator: Tensor) -> int:
+        count = min(self._settings.most - len(parameters), int(self._settings.growth * len(parameters)))
+        if count <= 0:
+            return 0
+        sources = _drawn_by_opacity(parameters.opacities, count, generator)
+        parameters.extend(self._shared_out(parameters, sources))
+        return count
+
+    def _shared_out(self, parameters: SplatParameters, sources: Tensor) -> dict[str, Tensor]:
+        """Shrink each source for the copies that join it, forget its moments, and return the copies' rows."""
+        copies = torch.bincount(sources, minlength=len(parameters)) + 1
+        touched = torch.nonzero(copies > 1)[:, 0]
+        opacities, shrink = relocated(parameters.opacities[touched], copies[touched])
+        opacities = opacities.clamp(min=self._settings.dead_below)
+        scales = parameters.scales[touched] * shrink[:, None]
+        parameters.put("opacity_logits", touched, torch.logit(opacities))
+        parameters.put("log_scales", touched, torch.log(scales))
+        parameters.forget_moments(touched)
+        return parameters.rows(sources)
+
+    def _shake(self, parameters: SplatParameters, strength: float, generator: Tensor) -> None:
+        """Add the noise of Langevin dynamics to the means, along each covariance, where opacity is small (eq. 8)."""
+        opacities = parameters.opacities
+        rows = torch.nonzero(opacities < _STILL)[:, 0]
+        if not strength or not len(rows):
+            return
+        size = (len(rows), 3)
+        noise = torch.randn(size, generator=generator, device=generator.device, dtype=opacities.dtype)
+        factor = torch.sigmoid(_STEEPNESS * (1 - opacities[rows] - _MIDDLE))[:, None] * strength
+        turn = parameters.tensors["quaternions"][rows]
+        back = torch.cat([turn[:, :1], -turn[:, 1:]], dim=1)
+        inside = rotated(back, noise.to(opacities.device)) * parameters.scales[rows] ** 2
+        parameters.tensors["means"][rows] += factor * rotated(turn, inside)
+
+
+def _drawn_by_opacity(opacities: Tensor, count: int, generator: Tensor) -> Tensor:
+    """(count,) indices drawn with replacement, each as often as its opacity says."""
+    ends = torch.cumsum(opacities.double(), 0).to(generator.device)
+    at = torch.rand(count, generator=generator, device=generator.device, dtype=torch.float64) * ends[-1]
+    return torch.searchsorted(ends, at, right=True).clamp(max=len(opacities) - 1).to(opacities.device)
+
+
+# § What several Gaussians in one place must be so that together they look like the one that was there.
+
+MOST_COPIES = 51
+"""More in one place count as this many, as in the authors' program: the sums lose their digits beyond."""
+
+
+def relocated(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
+    """Opacity, and factor of the scales, of each of N equal Gaussians that replace one (Kheradmand et al. 2024, eq. 9).
+
+    In the middle the stack has the opacity of the one; along a line through it, the same integral.
+
+    Args:
+        opacities: (n,) of the one.
+        copies: (n,) how many are there afterwards, the one included.
+    """
+    count = copies.clamp(max=MOST_COPIES)
+    old = opacities.double()
+    new = 1 - (1 - old) ** (1 / count.double())
+    terms = torch.as_tensor(_TERMS, device=old.device)[count]
+    powers = new[:, None] ** torch.arange(1, MOST_COPIES + 1, device=old.device)
+    factor = old / (terms * powers).sum(dim=1)
+    return new.to(opacities.dtype), factor.to(opacities.dtype)
+
+
+def _terms() -> Float64[np.ndarray, "n k"]:
+    """(-1)^k C(N, k + 1) / sqrt(k + 1): the double sum of eq. 9, summed over its first index."""
+    n, k = np.arange(MOST_COPIES + 1)[:, None], np.arange(MOST_COPIES)[None, :]
+    return np.asarray(comb(n, k + 1) * (-1.0) ** k / np.sqrt(k + 1), np.float64)
+
+
+_TERMS = _terms()

@@ -1,0 +1,283 @@
+"""What a training changes: static Gaussians, a sky behind them, and things that move, drawn together."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+from jaxtyping import Float64, Shaped
+
+from ..datasets.capture import EGO_HEIGHT_M, Capture, View
+from ..render.autodiff.differentiable import render_gaussians
+from ..render.autodiff.types import Rendered
+from ..safe_io.numpy_files import read_archive
+from ..safe_io.text_files import printable
+from ..scene.camera import Camera
+from ..scene.camera_path import CameraPath
+from ..scene.camera_path_edit import WALKING_M_S, paced
+from ..scene.files import whole_file
+from ..scene.gaussians import Gaussians
+from ..scene.geometry import quaternions_from_matrices
+from ..scene.scene import Actor, Layer, RigCamera, Scene, rotation_to_z_up
+from .parameters import SplatParameters
+from .settings import TrainingSettings
+
+torch: Any = import_module("torch")
+
+Tensor = Any
+
+
+class Picture(NamedTuple):
+    """A render to learn from."""
+
+    color: Tensor
+    """(h, w, 3), the sky behind everything."""
+    front: Rendered
+    """The static scene, then the actors, without the sky."""
+    background_rows: slice
+    """Which of the rendered Gaussians are the static scene's."""
+    actor_rows: dict[str, slice]
+    """Which are each actor's; only those that are there at the time."""
+    sky: Rendered | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SplatModel:
+    """All that is trained but the exposures."""
+
+    background: SplatParameters
+    sky: SplatParameters | None
+    actors: Mapping[str, SplatParameters]
+    """By id, in their own frames. Their colours are the same from all sides: frames turn, harmonics need not."""
+    tracks: Mapping[str, Actor]
+    """The actors as they were at first; their tracks stay."""
+
+    def render(self, camera: Camera, time_s: float, sh_degree: int = 3) -> Picture:
+        """Draw everything as a camera sees it at a time, with harmonics up to a degree."""
+        pieces = [_Piece.of(self.background, sh_degree)]
+        rows, count = dict[str, slice](), len(self.background)
+        for key, parameters in self.actors.items():
+            pose = self.tracks[key].track.pose(time_s)
+            if pose is not None and len(parameters):
+                pieces.append(_Piece.of(parameters, sh_degree).moved(pose))
+                rows[key] = slice(count, count + len(parameters))
+                count += len(parameters)
+        front = _drawn(pieces, camera)
+        sky = None if self.sky is None else _drawn([_Piece.of(self.sky, sh_degree).standing], camera)
+        color = front.color if sky is None else front.color + (1 - front.alpha)[..., None] * sky.color
+        return Picture(color, front, slice(0, len(self.background)), rows, sky)
+
+    @property
+    def parts(self) -> Iterator[tuple[str, SplatParameters]]:
+        """Every set of Gaussians with its name."""
+        yield "background", self.background
+        if self.sky is not None:
+            yield "sky", self.sky
+        for key, parameters in self.actors.items():
+            yield f"actors/{key}", parameters
+
+    @property
+    def count(self) -> int:
+        """How many Gaussians there are in all."""
+        return sum(len(parameters) for _, parameters in self.parts)
+
+    def zero_grad(self) -> None:
+        for _, parameters in self.parts:
+            parameters.zero_grad()
+
+    def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
+        """Return everything that training goes on from, as arrays by name."""
+        return {f"{part}:{name}": array for part, each in self.parts for name, array in each.state().items()}
+
+    def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
+        """Go back to what `state` returned; raises KeyError where something is missing."""
+        for part, parameters in self.parts:
+            prefix = f"{part}:"
+            own = {name.removeprefix(prefix): array for name, array in state.items() if name.startswith(prefix)}
+            parameters.restore(own)
+
+
+class _Piece(NamedTuple):
+    """Activated Gaussians on their way into one render."""
+
+    means: Tensor
+    scales: Tensor
+    quaternions: Tensor
+    opacities: Tensor
+    sh: Tensor
+
+    @classmethod
+    def of(cls, parameters: SplatParameters, sh_degree: int) -> "_Piece":
+        tensors = parameters.tensors
+        sh = parameters.sh_up_to(sh_degree)
+        return cls(tensors["means"], parameters.scales, tensors["quaternions"], parameters.opacities, sh)
+
+    @property
+    def standing(self) -> "_Piece":
+        """The same, of which only the colours are learned."""
+        means, scales, quaternions, opacities, sh = self
+        return _Piece(means.detach(), scales.detach(), quaternions.detach(), opacities.detach(), sh)
+
+    def moved(self, pose: Float64[np.ndarray, "4 4"]) -> "_Piece":
+        """Turn and shift them from an object's frame to the world; colours stay as they are."""
+        matrix = torch.as_tensor(pose, dtype=self.means.dtype, device=self.means.device)
+        turn = quaternions_from_matrices(pose[:3, :3]).tolist()
+        return self._replace(
+            means=self.means @ matrix[:3, :3].T + matrix[:3, 3], quaternions=_turned(turn, self.quaternions)
+        )
+
+
+def _turned(turn: list[float], quaternions: Tensor) -> Tensor:
+    w, x, y, z = turn
+    rows = [[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]]
+    return quaternions @ torch.tensor(rows, dtype=quaternions.dtype, device=quaternions.device).T
+
+
+def _drawn(pieces: list[_Piece], camera: Camera) -> Rendered:
+    if len(pieces) > 1:
+        most = max(piece.sh.shape[1] for piece in pieces)
+        pad = torch.nn.functional.pad
+        padded = [piece._replace(sh=pad(piece.sh, (0, 0, 0, most - piece.sh.shape[1]))) for piece in pieces]
+        means, scales, quaternions, opacities, sh = (torch.cat(each) for each in zip(*padded, strict=True))
+    else:
+        means, scales, quaternions, opacities, sh = pieces[0]
+    return render_gaussians(means, scales, quaternions, opacities, sh, camera)
+
+
+# § A training's Gaussians as a scene: layers, actors, the rig and the ego of the capture.
+
+RIG = "capture"
+
+_SEEN = 1 / 255
+"""Renderers cut what is fainter."""
+
+
+def scene_of(model: SplatModel, capture: Capture) -> Scene:
+    """Return the scene as it is now, in the capture's units and axes."""
+    layers = [Layer("background", _visible(model.background.to_gaussians()))]
+    if model.sky is not None:
+        layers.append(Layer("sky", model.sky.to_gaussians(), kind="sky"))
+    actors = (replace(model.tracks[key], gaussians=each.to_gaussians()) for key, each in model.actors.items())
+    return Scene(
+        capture.name,
+        tuple(layers),
+        tuple(actors),
+        up=capture.up,
+        ground_m=_ground_m(capture),
+        rigs=_rigs(capture),
+        ego=capture.ego,
+        path=recorded_path(capture.views) if capture.ego is None else None,
+        unit_is_assumed=not capture.is_metric,
+    )
+
+
+def recorded_path(views: Sequence[View]) -> CameraPath | None:
+    """Fly where the first camera was, picture by picture; at walking pace where the capture has no times."""
+    own = [view for view in views if view.sensor == views[0].sensor]
+    if len(own) < 2:
+        return None
+    times = np.array([view.time_s for view in own])
+    is_timed = bool(np.all(np.diff(times) > 0))
+    if not is_timed:
+        times = np.arange(len(own), dtype=np.float64)
+    poses = np.stack([view.camera.camera_to_world for view in own])
+    fields = np.array([view.camera.vertical_fov_deg for view in own])
+    path = CameraPath(times, poses[:, :3, 3], quaternions_from_matrices(poses[:, :3, :3]), fields)
+    return path if is_timed else paced(path, WALKING_M_S)
+
+
+def _visible(gaussians: Gaussians) -> Gaussians:
+    """Leave out what no renderer draws: too faint, or no numbers."""
+    finite = np.isfinite(gaussians.means).all(axis=1) & np.isfinite(gaussians.scales).all(axis=1)
+    finite &= np.isfinite(gaussians.quaternions).all(axis=1) & np.isfinite(gaussians.sh).all(axis=(1, 2))
+    return gaussians.take(np.flatnonzero(finite & (gaussians.opacities >= _SEEN)))
+
+
+def _ground_m(capture: Capture) -> float | None:
+    """Height of the road in the world, from where the vehicle's frame is; None without a vehicle."""
+    if capture.ego is None or not capture.is_metric or not len(capture.ego.positions):
+        return None
+    heights = capture.ego.positions @ rotation_to_z_up(capture.up)[2]
+    return float(np.median(heights)) - EGO_HEIGHT_M
+
+
+def _rigs(capture: Capture) -> dict[str, tuple[RigCamera, ...]]:
+    """One rig with every sensor of the capture, mounted as in its first view that has the vehicle's place."""
+    if capture.ego is None:
+        return {}
+    mounted = dict[str, RigCamera]()
+    for view in capture:
+        pose = capture.ego.pose(view.time_s)
+        if view.sensor not in mounted and pose is not None:
+            mounted[view.sensor] = _mounted(view, pose)
+    return {RIG: tuple(mounted.values())} if mounted else {}
+
+
+def _mounted(view: View, ego_to_world: Float64[np.ndarray, "4 4"]) -> RigCamera:
+    camera = view.camera
+    return RigCamera(
+        view.sensor or "camera", camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
+        np.linalg.inv(ego_to_world) @ camera.camera_to_world, camera.exposure_s,
+    )  # fmt: skip
+
+
+# § How far a training has come, on disk: a NumPy archive without pickles that appears whole or not at all.
+
+_VERSION = 1
+
+_FREE = frozenset({"measured_every", "saved_every"})
+"""Settings that may change when a training is taken up again: nothing that is learned depends on them."""
+
+
+class CheckpointError(ValueError):
+    """A training can't be taken up from a checkpoint; the message names the file and says why."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Checkpoint:
+    """Everything that a training goes on from."""
+
+    step: int
+    """How many steps are done."""
+    seconds: float
+    """How long they took."""
+    arrays: Mapping[str, Shaped[np.ndarray, "..."]]
+
+
+class _Head(msgspec.Struct, frozen=True, kw_only=True):
+    version: int
+    step: int
+    seconds: float
+    capture: str
+    settings: TrainingSettings
+
+
+def write_checkpoint(file: Path, checkpoint: Checkpoint, settings: TrainingSettings, capture: str) -> None:
+    """Write a checkpoint; `capture` is a text that tells captures and their views apart."""
+    head = _Head(version=_VERSION, step=checkpoint.step, seconds=checkpoint.seconds, capture=capture, settings=settings)
+    named = {"head": np.frombuffer(msgspec.json.encode(head), np.uint8), **checkpoint.arrays}
+    with whole_file(file) as beside, beside.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **named)
+
+
+def read_checkpoint(file: Path, settings: TrainingSettings, capture: str) -> Checkpoint:
+    """Read a checkpoint of the same training. Raises `CheckpointError` where it is damaged or of another one."""
+    if not file.is_file():
+        raise CheckpointError(f"{file}: there is no checkpoint to resume from; leave --resume out to begin anew")
+    try:
+        arrays = read_archive(file)
+        head = msgspec.json.decode(arrays.pop("head").tobytes(), type=_Head)
+    except (OSError, ValueError, KeyError, RecursionError, msgspec.MsgspecError) as error:
+        raise CheckpointError(f"{file}: not a checkpoint, or a damaged one: {printable(error)}") from None
+    if head.version != _VERSION:
+        raise CheckpointError(f"{file}: a checkpoint of version {head.version}, expected {_VERSION}")
+    if head.capture != capture:
+        raise CheckpointError(f"{file}: made from other views ({printable(head.capture)}), now they are {capture}")
+    for name in settings.__struct_fields__:
+        before, now = getattr(head.settings, name), getattr(settings, name)
+        if before != now and name not in _FREE:
+            raise CheckpointError(f"{file}: made with {name} {before}, now it is {now}")
+    return Checkpoint(head.step, head.seconds, arrays)

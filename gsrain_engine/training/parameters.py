@@ -1,0 +1,249 @@
+"""Gaussians as they are trained: unconstrained torch tensors, with the moments of Adam beside them."""
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any, no_type_check
+
+import numpy as np
+from jaxtyping import Float32, Shaped
+from numba import njit, prange
+
+from ..scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
+
+torch: Any = import_module("torch")
+
+Tensor = Any
+"""torch is an extra: where it is missing, nothing here is ever imported, and no type of it can be named."""
+
+NAMES = ("means", "log_scales", "quaternions", "opacity_logits", "sh_dc", "sh_rest")
+
+_LEAST_SCALE, _LEAST_OPACITY = 1e-12, 1e-8
+"""What has no logarithm is taken for this."""
+
+
+class SplatParameters:
+    """Trainable Gaussians: `tensors` by name, each a leaf with gradients, and Adam over them.
+
+    "means" (n, 3), "log_scales" (n, 3), "quaternions" (n, 4) wxyz of any length, "opacity_logits" (n,), "sh_dc"
+    (n, 1, 3) and "sh_rest" (n, k - 1, 3). Rows come and go by `keep` and `extend`; moments follow their rows.
+    """
+
+    def __init__(self, tensors: Mapping[str, Tensor]) -> None:
+        if set(tensors) != set(NAMES):
+            raise ValueError(f"trainable Gaussians have {sorted(NAMES)}, not {sorted(tensors)}")
+        self.tensors: dict[str, Tensor] = {name: _leaf(tensors[name]) for name in NAMES}
+        self._first = {name: torch.zeros_like(each, requires_grad=False) for name, each in self.tensors.items()}
+        self._second = {name: torch.zeros_like(each, requires_grad=False) for name, each in self.tensors.items()}
+        self._steps: dict[str, int] = dict.fromkeys(NAMES, 0)
+
+    @classmethod
+    def from_gaussians(
+        cls, gaussians: Gaussians, sh_degree: int, device: str = "cpu", dtype: Tensor = None
+    ) -> "SplatParameters":
+        """Start at given Gaussians; harmonics that are missing start at 0, those above `sh_degree` are cut off."""
+        k = COEFFICIENTS_OF_DEGREE[sh_degree]
+        sh = np.zeros((len(gaussians), k, 3), np.float64)
+        shared = min(k, gaussians.sh.shape[1])
+        sh[:, :shared] = gaussians.sh[:, :shared]
+        opacities = np.clip(gaussians.opacities.astype(np.float64), _LEAST_OPACITY, 1 - 2.0**-24)
+        values = {
+            "means": gaussians.means,
+            "log_scales": np.log(np.maximum(gaussians.scales.astype(np.float64), _LEAST_SCALE)),
+            "quaternions": gaussians.quaternions,
+            "opacity_logits": np.log(opacities) - np.log1p(-opacities),
+            "sh_dc": sh[:, :1],
+            "sh_rest": sh[:, 1:],
+        }
+        kind = dtype or torch.float32
+        return cls({name: torch.tensor(each, dtype=kind, device=device) for name, each in values.items()})
+
+    def to_gaussians(self) -> Gaussians:
+        """Return what they are now, activated, in float32."""
+        with torch.no_grad():
+            quaternions = torch.nn.functional.normalize(self.tensors["quaternions"], dim=1)
+            return Gaussians(
+                _array(self.tensors["means"]),
+                _array(self.scales),
+                _array(quaternions),
+                _array(self.opacities),
+                _array(self.sh),
+            )
+
+    def __len__(self) -> int:
+        return len(self.tensors["means"])
+
+    @property
+    def device(self) -> Tensor:
+        return self.tensors["means"].device
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0 to 3."""
+        return COEFFICIENTS_OF_DEGREE.index(1 + self.tensors["sh_rest"].shape[1])
+
+    @property
+    def scales(self) -> Tensor:
+        """(n, 3) standard deviations, above 0."""
+        return torch.exp(self.tensors["log_scales"])
+
+    @property
+    def opacities(self) -> Tensor:
+        """(n,) in (0, 1)."""
+        return torch.sigmoid(self.tensors["opacity_logits"])
+
+    @property
+    def sh(self) -> Tensor:
+        """(n, k, 3) harmonics of all degrees."""
+        return self.sh_up_to(self.sh_degree)
+
+    def sh_up_to(self, degree: int) -> Tensor:
+        """(n, k, 3) harmonics of the first degrees: trainings take the higher ones in later."""
+        rest = COEFFICIENTS_OF_DEGREE[min(degree, self.sh_degree)] - 1
+        if not rest:
+            return self.tensors["sh_dc"]
+        return torch.cat([self.tensors["sh_dc"], self.tensors["sh_rest"][:, :rest]], dim=1)
+
+    def zero_grad(self) -> None:
+        for each in self.tensors.values():
+            each.grad = None
+
+    def step(self, learning_rates: Mapping[str, float], rows: Tensor | None = None) -> None:
+        """Do one step of Adam (Kingma and Ba 2015) on every tensor that has a gradient and a learning rate.
+
+        Args:
+            learning_rates: By name; what is not named, or is 0, stays as it is, moments too.
+            rows: (n,) bool: only these move, and only their moments change; those that no picture showed have no
+                gradient anyway. None moves all: rows out of sight then go on along their moments, as in 3DGS.
+        """
+        for name, rate in learning_rates.items():
+            values = self.tensors[name]
+            if not rate or values.grad is None or not values.numel():
+                continue
+            self._steps[name] += 1
+            shares = 1 - FIRST_DECAY ** self._steps[name], 1 - SECOND_DECAY ** self._steps[name]
+            with torch.no_grad():
+                if values.device.type == "cpu":
+                    self._step_here(name, rate, shares, rows)
+                else:
+                    self._step_there(name, rate, shares, rows)
+
+    def _step_here(self, name: str, rate: float, shares: tuple[float, float], rows: Tensor | None) -> None:
+        n = len(self)
+        four = (self.tensors[name], self.tensors[name].grad, self._first[name], self._second[name])
+        values, slope, first, second = (each.detach().contiguous().numpy().reshape(n, -1) for each in four)
+        taking_part = np.zeros(0, np.bool_) if rows is None else rows.numpy()
+        adam_step(values, slope, first, second, taking_part, rate, shares[0], shares[1])
+
+    def _step_there(self, name: str, rate: float, shares: tuple[float, float], rows: Tensor | None) -> None:
+        values, first, second = self.tensors[name], self._first[name], self._second[name]
+        slope = values.grad
+        if rows is not None:
+            values, first, second, slope = values[rows], first[rows], second[rows], slope[rows]
+        first.mul_(FIRST_DECAY).add_(slope, alpha=1 - FIRST_DECAY)
+        second.mul_(SECOND_DECAY).addcmul_(slope, slope, value=1 - SECOND_DECAY)
+        divisor = second.sqrt().div_(shares[1] ** 0.5).add_(EPSILON)
+        values.addcdiv_(first, divisor, value=-rate / shares[0])
+        if rows is not None:
+            self.tensors[name][rows], self._first[name][rows], self._second[name][rows] = values, first, second
+
+    def keep(self, rows: Tensor) -> None:
+        """Keep these rows ((n,) bool, or indices in a new order) with their moments; gradients are forgotten."""
+        with torch.no_grad():
+            for name in NAMES:
+                self.tensors[name] = _leaf(self.tensors[name][rows])
+                self._first[name] = self._first[name][rows]
+                self._second[name] = self._second[name][rows]
+
+    def extend(self, more: Mapping[str, Tensor]) -> None:
+        """Append rows, given by the same names; their moments are 0. Gradients are forgotten."""
+        with torch.no_grad():
+            for name in NAMES:
+                added = more[name].to(self.tensors[name])
+                nothing = torch.zeros_like(added, requires_grad=False)
+                self.tensors[name] = _leaf(torch.cat([self.tensors[name], added]))
+                self._first[name] = torch.cat([self._first[name], nothing])
+                self._second[name] = torch.cat([self._second[name], nothing])
+
+    def rows(self, which: Tensor) -> dict[str, Tensor]:
+        """Copies of some rows ((n,) bool, or indices) by name, without gradients."""
+        return {name: each.detach()[which].clone() for name, each in self.tensors.items()}
+
+    def put(self, name: str, which: Tensor, values: Tensor) -> None:
+        """Overwrite rows ((n,) bool, or indices) of one tensor; their moments start again at 0."""
+        with torch.no_grad():
+            self.tensors[name][which] = values.to(self.tensors[name])
+        self.forget_moments(which, (name,))
+
+    def forget_moments(self, which: Tensor, names: tuple[str, ...] = NAMES) -> None:
+        """Set the moments of rows ((n,) bool, or indices) to 0."""
+        for name in names:
+            self._first[name][which] = 0
+            self._second[name][which] = 0
+
+    def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
+        """Return everything that training goes on from, as arrays: for a checkpoint."""
+        arrays = {name: _copy(each) for name, each in self.tensors.items()}
+        arrays |= {f"{name}.first": _copy(each) for name, each in self._first.items()}
+        arrays |= {f"{name}.second": _copy(each) for name, each in self._second.items()}
+        return arrays | {"steps": np.array([self._steps[name] for name in NAMES], np.int64)}
+
+    def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
+        """Go back to what `state` returned, to the last bit; raises KeyError where something is missing."""
+        device = self.device
+        self.tensors = {name: _leaf(torch.tensor(state[name], device=device)) for name in NAMES}
+        self._first = {name: torch.tensor(state[f"{name}.first"], device=device) for name in NAMES}
+        self._second = {name: torch.tensor(state[f"{name}.second"], device=device) for name in NAMES}
+        self._steps = dict(zip(NAMES, state["steps"].tolist(), strict=True))
+
+
+def _leaf(tensor: Tensor) -> Tensor:
+    return tensor.detach().contiguous().requires_grad_(True)
+
+
+def _array(tensor: Tensor) -> Float32[np.ndarray, "..."]:
+    return np.ascontiguousarray(tensor.detach().cpu().to(torch.float32).numpy())
+
+
+def _copy(tensor: Tensor) -> Shaped[np.ndarray, "..."]:
+    return tensor.detach().cpu().numpy().copy()
+
+
+# § One Adam step over a flat array in a single pass: memory is read and written once, nothing is allocated.
+
+FIRST_DECAY, SECOND_DECAY, EPSILON = 0.9, 0.999, 1e-15
+"""Of the two moments, and what keeps the quotient finite (Kingma and Ba 2015; the last as in 3DGS)."""
+
+_CHUNK = 4096
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+@no_type_check
+def adam_step(values, gradients, first, second, rows, rate, first_share, second_share):
+    """Move `values` (n, c) in place, with their moments; every row depends on itself alone.
+
+    Args:
+        values: What is trained.
+        gradients: Of the loss by `values`.
+        first: Running mean of the gradients.
+        second: Running mean of their squares.
+        rows: (n,) which rows take part, or an empty array for all.
+        rate: Learning rate.
+        first_share: 1 - FIRST_DECAY ** steps: how much of its final weight the first moment has by now.
+        second_share: The same of the second.
+    """
+    count, channels = values.shape
+    kind = values.dtype.type
+    first_decay, second_decay, epsilon = kind(FIRST_DECAY), kind(SECOND_DECAY), kind(EPSILON)
+    one = kind(1)
+    pace, spread = kind(rate / first_share), kind(1 / np.sqrt(second_share))
+    everybody = len(rows) == 0
+    for chunk in prange((count + _CHUNK - 1) // _CHUNK):
+        for i in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, count)):
+            if everybody or rows[i]:
+                for c in range(channels):
+                    slope = gradients[i, c]
+                    mean = first_decay * first[i, c] + (one - first_decay) * slope
+                    square = second_decay * second[i, c] + (one - second_decay) * slope * slope
+                    first[i, c] = mean
+                    second[i, c] = square
+                    values[i, c] -= pace * mean / (np.sqrt(square) * spread + epsilon)

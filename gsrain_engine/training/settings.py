@@ -1,0 +1,236 @@
+"""What a person can choose about a reconstruction: one value, which is also its YAML file and its help text."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_type_hints
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from ..datasets.capture import View
+from ..presets import load_values, shipped_names
+from ..safe_io.errors import converted
+
+_FOLDER = "reconstruct"
+
+Weight = Annotated[float, Meta(ge=0, le=100)]
+
+Rate = Annotated[float, Meta(gt=0, le=1)]
+
+
+class LearningRates(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Steps of Adam for each kind of number (3D Gaussian Splatting, Kerbl et al. 2023, section 5 and their code)."""
+
+    means: Annotated[Rate, Meta(title="Means", description="At the first step, times the extent of the cameras.")] = (
+        1.6e-4
+    )
+    last_means: Annotated[
+        Rate, Meta(title="Means at the end", description="At the last step, times the extent; exponential between.")
+    ] = 1.6e-6
+    log_scales: Annotated[Rate, Meta(title="Scales", description="Of the logarithm of the scales.")] = 5e-3
+    quaternions: Annotated[Rate, Meta(title="Rotations", description="Of the unnormalized quaternions.")] = 1e-3
+    opacity_logits: Annotated[Rate, Meta(title="Opacities", description="Of the opacities' logits.")] = 5e-2
+    sh_dc: Annotated[Rate, Meta(title="Colours", description="Of the harmonics of degree 0.")] = 2.5e-3
+    sh_rest: Annotated[Rate, Meta(title="Directional colours", description="Of the harmonics above degree 0.")] = (
+        1.25e-4
+    )
+    exposure: Annotated[Rate, Meta(title="Exposures", description="Of each picture's affine map of colours.")] = 1e-3
+
+
+class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How Gaussians are fitted to pictures. The defaults are for a processor with two cores: some ten minutes."""
+
+    steps: Annotated[
+        int, Meta(ge=1, le=1_000_000, title="Steps", description="How often one view is rendered and learned from.")
+    ] = 2000
+    width_px: Annotated[
+        int,
+        Meta(
+            ge=16,
+            le=16384,
+            title="Width",
+            description="Pictures wider than this are made smaller, lens distortion removed.",
+            extra={"unit": "px"},
+        ),
+    ] = 480
+    gaussians: Annotated[
+        int, Meta(ge=100, le=100_000_000, title="Gaussians", description="Most there may be in the static scene.")
+    ] = 120_000
+    density: Annotated[
+        Literal["adaptive", "mcmc"],
+        Meta(
+            title="Density control",
+            description="adaptive: clone, split and prune (3DGS). mcmc: relocate and explore (3DGS-MCMC).",
+        ),
+    ] = "adaptive"
+    sh_degree: Annotated[
+        int, Meta(ge=0, le=3, title="SH degree", description="Highest degree of the harmonics; low for few views.")
+    ] = 1
+    held_out: Annotated[
+        int, Meta(ge=0, le=10_000, title="Held out", description="Keep every Nth view for measuring; 0: none.")
+    ] = 8
+    held_out_views: Annotated[
+        tuple[str, ...], Meta(title="Held-out views", description="Keep these views for measuring, by name, instead.")
+    ] = ()
+    seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Same seed, same bytes.")] = 0
+    rates: Annotated[LearningRates, Meta(title="Learning rates")] = LearningRates()
+    haste: Annotated[
+        float, Meta(ge=0.1, le=20, title="Haste", description="Multiplies the learning rates of a run that is short.")
+    ] = 3.0
+    d_ssim: Annotated[
+        float, Meta(ge=0, le=1, title="D-SSIM", description="Share of structural dissimilarity in the loss; rest L1.")
+    ] = 0.2
+    depth: Annotated[
+        Weight, Meta(title="Depth", description="Weight of the relative error of depth where it was measured; 0: off.")
+    ] = 0.1
+    cover: Annotated[
+        Weight, Meta(title="Cover", description="Weight of holes before what has a depth, and of veils before the sky.")
+    ] = 0.05
+    free_space: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=0.9,
+            title="Free space",
+            description="Share of the way to what a camera sees that must be empty, where depth is known; 0: off.",
+        ),
+    ] = 0.2
+    transients: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=0.5,
+            title="Transients",
+            description="Most of a picture that is left out late where it contradicts the others; for captures "
+            "without boxes of what moves. 0: off.",
+        ),
+    ] = 0.1
+    exposure: Annotated[
+        Weight, Meta(title="Exposure", description="Pull of each picture's affine map of colours to none; 0: no maps.")
+    ] = 0.5
+    coarse: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=1,
+            title="Coarse",
+            description="Share of the steps with small pictures: first a quarter of the size, then half.",
+        ),
+    ] = 0.1
+    sky: Annotated[bool, Meta(title="Sky", description="Fit a dome of far Gaussians where the sky is.")] = True
+    own_body: Annotated[
+        bool | None,
+        Meta(
+            title="Own body",
+            description="Look for the vehicle's own body in the pictures, and leave it out; none: where the capture is "
+            "a drive (a rig on a vehicle, or odometry).",
+        ),
+    ] = None
+    actors: Annotated[
+        bool, Meta(title="Actors", description="Fit what moves as objects of their own; else it is left out.")
+    ] = True
+    measured_every: Annotated[
+        int, Meta(ge=0, le=1_000_000, title="Measured every", description="Steps between looks at held-out views.")
+    ] = 300
+    saved_every: Annotated[
+        int, Meta(ge=0, le=1_000_000, title="Saved every", description="Steps between checkpoints; 0: none.")
+    ] = 200
+    device: Annotated[
+        Literal["auto", "cpu", "cuda"], Meta(title="Device", description="auto: CUDA where it and gsplat are there.")
+    ] = "auto"
+
+
+def load_settings(name: str | Path | None = None, **changes: Any) -> TrainingSettings:
+    """Read shipped settings by name, or a YAML file by path, and change some; without a name the defaults.
+
+    Changes that are None are passed over. Raises ValueError with the file or option, the field and what is allowed.
+    """
+    values = {} if name is None else load_values(_FOLDER, name, "--config")
+    changed = {key: value for key, value in changes.items() if value is not None}
+    try:
+        converted(values, TrainingSettings)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+    return converted(values | changed, TrainingSettings)
+
+
+def help_of(name: str) -> str:
+    """Description of a setting with its default, for a command's help."""
+    hint = get_type_hints(TrainingSettings, include_extras=True)[name]
+    return f"{hint.__metadata__[-1].description} Default: {getattr(TrainingSettings(), name)}."
+
+
+def settings_names() -> list[str]:
+    return shipped_names(_FOLDER)
+
+
+# § What changes while a training runs: learning rates, the size of the pictures, the degree of the harmonics.
+
+LEVELS = 3
+"""Sizes that pictures are learned at: whole, a half, a quarter."""
+
+_EXTENT_MARGIN = 1.1
+
+_TRANSIENTS_FROM = 0.25
+"""Share of the steps after which it shows what contradicts the other pictures; later it is learned by heart."""
+
+_DEGREE_SHARE = 0.2
+"""Share of the steps after which each further degree of the harmonics joins in."""
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """Rates, size and degree by step."""
+
+    settings: TrainingSettings
+    extent: float
+    """How far the cameras are spread, in the capture's unit: what the paper scales steps of the means by."""
+
+    def rates(self, step: int) -> dict[str, float]:
+        """Learning rate of each tensor at a step, counted from 0."""
+        rates, haste = self.settings.rates, self.settings.haste
+        done = step / max(self.settings.steps - 1, 1)
+        means = float(np.exp((1 - done) * np.log(rates.means) + done * np.log(rates.last_means)))
+        return {
+            "means": haste * means * self.extent,
+            "log_scales": haste * rates.log_scales,
+            "quaternions": haste * rates.quaternions,
+            "opacity_logits": haste * rates.opacity_logits,
+            "sh_dc": haste * rates.sh_dc * self._settling(done),
+            "sh_rest": haste * rates.sh_rest * self._settling(done),
+        }
+
+    def level(self, step: int) -> int:
+        """How often pictures are halved at a step: 2, 1, 0."""
+        coarse_steps = self.settings.coarse * self.settings.steps
+        if step >= coarse_steps:
+            return 0
+        return 2 if step < coarse_steps / 2 else 1
+
+    def sh_degree(self, step: int) -> int:
+        """Degree of the harmonics that are learned at a step: one more after each fifth of the steps."""
+        return min(self.settings.sh_degree, int(step / (_DEGREE_SHARE * self.settings.steps)))
+
+    def leaves_out(self, step: int) -> bool:
+        """Whether pixels that contradict the others are left out: not before the scene is roughly there."""
+        return self.settings.transients > 0 and step >= _TRANSIENTS_FROM * self.settings.steps
+
+    def _settling(self, done: float) -> float:
+        """Let colours come to rest in the last third: a short run has no time to average its noise away."""
+        return float(np.clip(1 - (done - 2 / 3) * 3 * 0.9, 0.1, 1))
+
+
+def camera_extent(views: Sequence[View]) -> float:
+    """Largest distance of a camera from the middle of all, a tenth more; at least 1 (Kerbl et al. 2023, their code)."""
+    places = np.array([view.camera.position for view in views])
+    spread = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max())
+    return max(_EXTENT_MARGIN * spread, 1.0)
+
+
+def view_order(count: int, steps: int, seed: int) -> list[int]:
+    """Which view each step learns from: every view once an epoch, each epoch in an order of its own."""
+    epochs = range(-(-steps // count))
+    shuffled = [np.random.default_rng([seed, epoch]).permutation(count) for epoch in epochs]
+    return np.concatenate(shuffled)[:steps].tolist()

@@ -1,0 +1,384 @@
+"""One training: its model, its views and its place in the schedule, step by step."""
+
+import time
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, Shaped, UInt8
+
+from ..evaluation.image_metrics import C1, C2, HALF_WINDOW_PX, LEAST_WEIGHT, WINDOW_PX, check_pair, window
+from .data import Level, TrainingView
+from .evaluation import Perceived, Score, score
+from .model import Picture, SplatModel
+from .settings import Schedule, TrainingSettings, view_order
+from .strategy import DensityControl
+
+torch: Any = import_module("torch")
+
+Tensor = Any
+
+_EXPOSURES = "exposures"
+
+_CONTROL = "control"
+
+_STAGES = ("reading", "forward", "backward", "optimizer", "density")
+
+
+class Done(NamedTuple):
+    """What one step was like."""
+
+    step: int
+    """Counted from 0."""
+    loss: float
+    change: str | None
+    """What density control did."""
+    shown: Tensor
+    """(h, w, 3) render in the picture's own exposure."""
+    truth: Tensor
+
+
+class Training:
+    """What a training changes, and how it does. Everything random follows from the seed and the step alone."""
+
+    def __init__(
+        self, model: SplatModel, views: Sequence[TrainingView], schedule: Schedule, control: DensityControl, device: str
+    ) -> None:
+        self.model, self.views, self.schedule = model, views, schedule
+        self.seconds_by_stage: dict[str, float] = dict.fromkeys(_STAGES, 0.0)
+        self._control, self._device = control, device
+        settings = schedule.settings
+        self._exposures = ExposureAffine(len(views), device) if settings.exposure else None
+        self._order = view_order(len(views), settings.steps, settings.seed)
+
+    def step(self, number: int) -> Done:
+        clock = _Clock(self.seconds_by_stage)
+        settings, index = self.schedule.settings, self._order[number]
+        view = self.views[index]
+        level = view.levels[self.schedule.level(number)]
+        truth = Truth.of(level, self._device)
+        clock.stop("reading")
+        self.model.zero_grad()
+        picture = self.model.render(level.camera, view.time_s, self.schedule.sh_degree(number))
+        shown = picture.color if self._exposures is None else self._exposures.apply(index, picture.color)
+        if self.schedule.leaves_out(number):
+            truth = truth._replace(mask=agreeing(shown, truth.image, truth.mask, settings.transients))
+        loss = view_loss(picture, shown, truth, settings)
+        total = loss.total
+        if self._exposures is not None:
+            total = total + settings.exposure * self._exposures.pull(index)
+        pull = self._control.regularization(self.model.background)
+        if pull is not None:
+            total = total + pull
+        clock.stop("forward")
+        total.backward()
+        clock.stop("backward")
+        self._control.observe(number, picture.front, picture.background_rows)
+        self._move(number, picture, everything=pull is not None)
+        clock.stop("optimizer")
+        generator = torch.Generator().manual_seed(settings.seed * 1_000_003 + number)
+        change = self._control.adapt(number, self.model.background, generator)
+        clock.stop("density")
+        return Done(number, float(loss.total.detach()), change, shown.detach(), truth.image)
+
+    def render(self, view: TrainingView) -> Float32[np.ndarray, "h w 3"]:
+        """Draw the whole model as a view's camera sees it, at full size, with nothing learned."""
+        with torch.no_grad():
+            color = self.model.render(view.levels[0].camera, view.time_s).color
+        return color.cpu().numpy()
+
+    def measure(
+        self,
+        view: TrainingView,
+        perceived: Perceived | None = None,
+        rendered: Float32[np.ndarray, "h w 3"] | None = None,
+    ) -> Score:
+        """Compare a render (which is made here unless it is at hand) with a view's photograph."""
+        if rendered is None:
+            rendered = self.render(view)
+        return score(view.name, rendered, view.levels[0].image, view.seen, perceived)
+
+    def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
+        """Return everything that the training goes on from, as arrays by name."""
+        arrays = self.model.state()
+        arrays |= {f"{_CONTROL}:{name}": array for name, array in self._control.state().items()}
+        if self._exposures is not None:
+            arrays |= {f"{_EXPOSURES}:{name}": array for name, array in self._exposures.state().items()}
+        return arrays
+
+    def restore(self, arrays: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
+        """Go back to what `state` returned; raises KeyError where something is missing."""
+        self.model.restore(arrays)
+        self._control.restore(_named(arrays, _CONTROL))
+        if self._exposures is not None:
+            self._exposures.restore(_named(arrays, _EXPOSURES))
+
+    def _move(self, number: int, picture: Picture, *, everything: bool) -> None:
+        """Do a step of the optimizers: only Gaussians that were drawn move, unless a pull goes to all of them."""
+        rates = self.schedule.rates(number)
+        drawn = picture.front.footprint.drawn
+        self.model.background.step(rates, None if everything else drawn[picture.background_rows])
+        for key, rows in picture.actor_rows.items():
+            own = rates | {"means": rates["means"] / self.schedule.extent}
+            self.model.actors[key].step(own, drawn[rows])
+        if self.model.sky is not None and picture.sky is not None:
+            self.model.sky.step({name: rates[name] for name in ("sh_dc", "sh_rest")}, picture.sky.footprint.drawn)
+        if self._exposures is not None:
+            self._exposures.step(self.schedule.settings.rates.exposure * self.schedule.settings.haste)
+
+
+def beside(shown: Tensor, truth: Tensor) -> UInt8[np.ndarray, "h w 3"]:
+    """Put a render and its photograph side by side, as a picture to look at."""
+    both = torch.cat([shown, truth], dim=1).clamp(0, 1)
+    return (both * 255 + 0.5).to(torch.uint8).cpu().numpy()
+
+
+class _Clock:
+    """Adds the time since the last stop to a stage."""
+
+    def __init__(self, seconds: dict[str, float]) -> None:
+        self._seconds, self._last = seconds, time.perf_counter()
+
+    def stop(self, stage: str) -> None:
+        now = time.perf_counter()
+        self._seconds[stage] += now - self._last
+        self._last = now
+
+
+def _named(arrays: Mapping[str, Shaped[np.ndarray, "..."]], kind: str) -> dict[str, Shaped[np.ndarray, "..."]]:
+    prefix = f"{kind}:"
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
+# § What a training makes small for one view: color, depth where it was measured, holes and veils.
+
+_LEAST_ALPHA = 0.05
+"""Below this there is too little to have a depth."""
+
+
+class Truth(NamedTuple):
+    """One level of a view as tensors."""
+
+    image: Tensor
+    """(h, w, 3) of 0..1."""
+    mask: Tensor | None
+    """(h, w) bool: what is learned from."""
+    hits: Tensor
+    """(m,) flat indices of pixels whose depth was measured."""
+    depths: Tensor
+    """(m,) along the view axis."""
+    sky: Tensor | None
+    """(h, w) bool."""
+
+    @classmethod
+    def of(cls, level: Level, device: str) -> "Truth":
+        mask = None if level.mask is None else torch.as_tensor(level.mask, device=device)
+        hits, depths = torch.zeros(0, dtype=torch.int64, device=device), torch.zeros(0, device=device)
+        if level.depth is not None:
+            measured = level.depth > 0 if level.mask is None else (level.depth > 0) & level.mask
+            rows = measured.ravel().nonzero()[0]
+            hits = torch.as_tensor(rows, device=device)
+            depths = torch.as_tensor(level.depth.ravel()[rows], device=device)
+        sky = None if level.sky is None else torch.as_tensor(level.sky, device=device)
+        return cls(torch.as_tensor(level.image, device=device).to(torch.float32) / 255, mask, hits, depths, sky)
+
+
+class Loss(NamedTuple):
+    """The parts of one step's loss, each with its weight."""
+
+    total: Tensor
+    color: Tensor
+    depth: Tensor
+    cover: Tensor
+
+
+def view_loss(picture: Picture, shown: Tensor, truth: Truth, settings: TrainingSettings) -> Loss:
+    """Compare one render with what was seen.
+
+    Color is (1 - s) L1 + s D-SSIM (Kerbl et al. 2023, eq. 7) of `shown`, the render as its camera would have exposed
+    it. Depth is |d - m| / (d + m), d the expected depth and m the measured one: the same for near and far, and bounded,
+    since a beam that grazes an edge may be metres off. Cover is how much is missing where something was hit, and how
+    much stands before known sky.
+    """
+    color = (1 - settings.d_ssim) * l1(shown, truth.image, truth.mask)
+    if settings.d_ssim:
+        color = color + settings.d_ssim * d_ssim(shown, truth.image, truth.mask)
+    nothing = color.new_zeros(())
+    depth, cover = nothing, nothing
+    if len(truth.hits) and (settings.depth or settings.cover):
+        alpha = picture.front.alpha.reshape(-1)[truth.hits]
+        weighted = picture.front.depth.reshape(-1)[truth.hits]
+        mean = weighted / alpha.clamp_min(_LEAST_ALPHA)
+        error = (mean - truth.depths).abs() / (mean + truth.depths)
+        depth = settings.depth * (error * (alpha.detach() > _LEAST_ALPHA)).mean()
+        cover = settings.cover * (1 - alpha).mean()
+    if truth.sky is not None and picture.sky is not None and settings.cover:
+        sky = truth.sky if truth.mask is None else truth.sky & truth.mask
+        cover = cover + settings.cover * (picture.front.alpha * sky).sum() / sky.sum().clamp_min(1)
+    return Loss(color + depth + cover, color, depth, cover)
+
+
+# § What training makes small: absolute difference and structural dissimilarity of a render and the truth.
+
+
+def l1(rendered: Tensor, truth: Tensor, mask: Tensor | None = None) -> Tensor:
+    """Mean absolute difference of two (h, w, 3) tensors over the pixels of a bool mask (h, w); 0 where it has none."""
+    check_pair(tuple(rendered.shape), tuple(truth.shape), None if mask is None else tuple(mask.shape))
+    difference = (rendered - truth).abs()
+    if mask is None:
+        return difference.mean()
+    return (difference * mask[..., None]).sum() / (3 * mask.sum()).clamp_min(1)
+
+
+def d_ssim(rendered: Tensor, truth: Tensor, mask: Tensor | None = None) -> Tensor:
+    """Return 1 - SSIM of two (h, w, 3) tensors of values 0..1 over the pixels of a bool mask (h, w).
+
+    The same SSIM as `gsrain_engine.evaluation.image_metrics.ssim`: windows inside the picture, masked pixels without
+    weight. The term of 3DGS's loss (Kerbl et al. 2023, eq. 7). 0 where the mask has no pixel. Differentiable in
+    `rendered` and `truth`. Raises ValueError for other shapes and for pictures smaller than the window (11 px).
+    """
+    check_pair(tuple(rendered.shape), tuple(truth.shape), None if mask is None else tuple(mask.shape))
+    if min(rendered.shape[:2]) < WINDOW_PX:
+        raise ValueError(f"SSIM takes pictures of at least {WINDOW_PX} px a side, not {tuple(rendered.shape[:2])}")
+    if mask is None:
+        return 1 - _similarity(_means(rendered, truth, None)).mean()
+    weights = mask[..., None].to(rendered.dtype)
+    inside = mask[HALF_WINDOW_PX:-HALF_WINDOW_PX, HALF_WINDOW_PX:-HALF_WINDOW_PX, None]
+    similarity = _similarity(_means(rendered, truth, weights))
+    return ((1 - similarity) * inside).sum() / (3 * inside.sum()).clamp_min(1)
+
+
+def _means(x: Tensor, y: Tensor, weights: Tensor | None) -> tuple[Tensor, ...]:
+    values = torch.cat([x, y, x * x + y * y, x * y], dim=2)
+    if weights is None:
+        return _blurred(values).split(3, dim=2)
+    return (_blurred(values * weights) / _blurred(weights).clamp_min(LEAST_WEIGHT)).split(3, dim=2)
+
+
+def _similarity(means: tuple[Tensor, ...]) -> Tensor:
+    # Only the sum of both variances is needed: a window less to filter.
+    x, y, squares, product = means
+    both, crossed = x * x + y * y, x * y
+    return (2 * crossed + C1) * (2 * (product - crossed) + C2) / ((both + C1) * (squares - both + C2))
+
+
+def _blurred(values: Tensor) -> Tensor:
+    if values.device.type == "cpu":
+        return _CpuBlur.apply(values)
+    taps = torch.as_tensor(window(), dtype=values.dtype, device=values.device)
+    planes = values.permute(2, 0, 1)[:, None]
+    rows = torch.nn.functional.conv2d(planes, taps.view(1, 1, -1, 1))
+    return torch.nn.functional.conv2d(rows, taps.view(1, 1, 1, -1))[:, 0].permute(1, 2, 0)
+
+
+class _CpuBlur(torch.autograd.Function):
+    """Gaussian window means by OpenCV, several times as fast as torch's convolution of single channels."""
+
+    @staticmethod
+    def forward(context: Any, values: Tensor) -> Tensor:
+        blurred = _filtered(values.detach().numpy())
+        inner = blurred[HALF_WINDOW_PX:-HALF_WINDOW_PX, HALF_WINDOW_PX:-HALF_WINDOW_PX]
+        return torch.from_numpy(np.ascontiguousarray(inner))
+
+    @staticmethod
+    def backward(context: Any, gradient: Tensor) -> Tensor:
+        edge = HALF_WINDOW_PX
+        # The window is symmetric: filtering is its own transpose, and leaving the edge out is transposed to zeros.
+        return torch.from_numpy(_filtered(np.pad(gradient.numpy(), ((edge, edge), (edge, edge), (0, 0)))))
+
+
+def _filtered(values: np.ndarray) -> np.ndarray:
+    taps = window().astype(values.dtype)
+    return cv2.sepFilter2D(values, -1, taps, taps, borderType=cv2.BORDER_CONSTANT).reshape(values.shape)
+
+
+# § Leaves out what contradicts the rest: things that moved, in captures that have no boxes of them.
+
+_WINDOW = 0.03
+"""Side of the window that differences are averaged over, in widths of the picture: single pixels prove nothing."""
+
+_LEAST, _TIMES = 0.08, 4.0
+"""Difference of colour (0..1) below which nothing is left out, and how many medians it must have."""
+
+
+def agreeing(shown: Tensor, truth: Tensor, mask: Tensor | None, most: float) -> Tensor:
+    """(h, w) bool: the pixels of a mask without the patches where render and picture differ far more than elsewhere.
+
+    Robust losses for scenes with distractors do it like this (Sabour et al. 2023, section 3.2), with a quantile; here
+    that is only a bound, so that nothing is left out of a picture that is learned well all over.
+
+    Args:
+        shown: (h, w, 3) render.
+        truth: (h, w, 3) photograph.
+        mask: (h, w) bool, pixels that count; None means all.
+        most: Share of them that may be left out.
+    """
+    with torch.no_grad():
+        counts = torch.ones(truth.shape[:2], dtype=torch.bool, device=truth.device) if mask is None else mask
+        if not counts.any():
+            return counts
+        difference = torch.where(counts, (shown - truth).abs().mean(dim=2), 0)
+        reach = max(round(_WINDOW * truth.shape[1] / 2), 1)
+        both = torch.stack([difference, counts.to(difference.dtype)])[None]
+        mean, part = torch.nn.functional.avg_pool2d(both, 2 * reach + 1, 1, reach)[0]
+        mean = mean / part.clamp_min(1e-6)
+        ordered = mean[counts].sort().values
+        bound = ordered[min(int((1 - most) * len(ordered)), len(ordered) - 1)]
+        limit = torch.maximum(bound, (_TIMES * ordered[len(ordered) // 2]).clamp_min(_LEAST))
+        return counts & (mean <= limit)
+
+
+# § Affine maps of colour, one a picture: what a camera's exposure and white balance did to it.
+
+_DECAYS = 0.9, 0.999
+
+
+class ExposureAffine:
+    """Trainable maps color -> A color + b of all pictures; their mean is no change, which fixes the gauge.
+
+    Without the gauge the scene could turn darker and every picture lighter, and nobody would know the difference.
+    """
+
+    def __init__(self, count: int, device: str = "cpu") -> None:
+        self.changes = torch.zeros((count, 3, 4), device=device, requires_grad=True)
+        """(count, 3, 4): what is added to the identity."""
+        self._first, self._second = torch.zeros((2, count, 3, 4), device=device).unbind()
+        self._steps = 0
+
+    def apply(self, index: int, color: Tensor) -> Tensor:
+        """Map a picture's colours (h, w, 3) as its camera would have."""
+        change = self.changes[index]
+        return color + color @ change[:, :3].T + change[:, 3]
+
+    def pull(self, index: int) -> Tensor:
+        """Sum of squares of one picture's change: 0 where there is none."""
+        return (self.changes[index] ** 2).sum()
+
+    def step(self, rate: float) -> None:
+        """Do one step of Adam, then bring the mean over all pictures back to no change."""
+        slope = self.changes.grad
+        if slope is None:
+            return
+        self._steps += 1
+        with torch.no_grad():
+            self._first.mul_(_DECAYS[0]).add_(slope, alpha=1 - _DECAYS[0])
+            self._second.mul_(_DECAYS[1]).addcmul_(slope, slope, value=1 - _DECAYS[1])
+            shares = [1 - decay**self._steps for decay in _DECAYS]
+            self.changes.addcdiv_(self._first / shares[0], (self._second / shares[1]).sqrt() + 1e-15, value=-rate)
+            self.changes -= self.changes.mean(dim=0, keepdim=True)
+        self.changes.grad = None
+
+    def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
+        tensors = {"changes": self.changes, "first": self._first, "second": self._second}
+        arrays = {name: each.detach().cpu().numpy().copy() for name, each in tensors.items()}
+        return arrays | {"steps": np.array(self._steps)}
+
+    def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
+        """Go back to what `state` returned; raises KeyError where something is missing."""
+        device = self.changes.device
+        self.changes = torch.tensor(state["changes"], device=device, requires_grad=True)
+        self._first = torch.tensor(state["first"], device=device)
+        self._second = torch.tensor(state["second"], device=device)
+        self._steps = int(state["steps"])

@@ -1,0 +1,197 @@
+"""What decides where a training gets more Gaussians and where fewer: the contract of all ways to do it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Shaped
+
+from .parameters import SplatParameters, Tensor
+
+
+@runtime_checkable
+class DensityControl(Protocol):
+    """Watches a training and changes the number of Gaussians in it.
+
+    The training calls `observe` after each backward pass and `adapt` after each step of the optimizer, with the same
+    count of steps (from 0). What is random comes from the generator alone.
+    """
+
+    def observe(self, step: int, rendered: Any, rows: slice | Tensor = slice(None)) -> None:
+        """Take notes of a picture whose loss has gone backward.
+
+        Args:
+            step: How many steps were done before this one.
+            rendered: The `Rendered` of `render_gaussians`.
+            rows: Which of the Gaussians that were rendered are those under control, in their order.
+        """
+        ...
+
+    def adapt(self, step: int, parameters: SplatParameters, generator: Tensor) -> str | None:
+        """Change Gaussians where that is due at this step; returns what was done, in a few words, or None."""
+        ...
+
+    def regularization(self, parameters: SplatParameters) -> Tensor | None:
+        """Return what is to be added to each step's loss, or None."""
+        ...
+
+    def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
+        """Return the notes taken since the last change, as arrays: for a checkpoint."""
+        ...
+
+    def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
+        """Go back to what `state` returned."""
+        ...
+
+
+# § Density control of 3DGS (Kerbl et al. 2023): clone what is small, split what is large, prune what can't be seen.
+
+torch: Any = import_module("torch")
+
+_CHILDREN = 2
+
+_SHRINK = 0.8 * _CHILDREN
+"""A child's scale is its parent's over 1.6 (Kerbl et al. 2023, section 5.2)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AdaptiveSettings:
+    """When and where Gaussians come and go; the defaults are those of 3DGS for 30,000 steps."""
+
+    extent: float
+    """Size of the scene in its own units: how far from the cameras' middle things are that matter."""
+    most: int
+    """Never more Gaussians than this; where the room is too small, the highest gradients win."""
+    first_step: int = 500
+    last_step: int = 15_000
+    every: int = 100
+    """Steps between two changes."""
+    gradient: float = 2e-4
+    """Mean gradient of the loss by a centre in normalized device units (2 across the picture) that calls for more."""
+    split_from: float = 0.01
+    """Gaussians larger than this part of the extent are split, smaller ones cloned."""
+    least_opacity: float = 0.005
+    split_on_screen: float = 0.08
+    """Part of the picture's longer side from which a radius calls for a split, whatever the gradient."""
+    largest: float = 0.1
+    """Part of the extent that a Gaussian may be large, once opacities were reset."""
+    largest_on_screen: float = 0.15
+    """Part of the picture's longer side that its radius may be, once opacities were reset."""
+    reset_every: int = 3000
+    """Steps between two resets of opacity, 0 for none."""
+    reset_to: float = 0.01
+
+    @classmethod
+    def for_run(cls, steps: int, extent: float, most: int) -> "AdaptiveSettings":
+        """Scale the schedule to a run of so many steps, 30,000 being the paper's.
+
+        Opacities need a few hundred steps to come back from a reset: runs of less than 2,000 steps have none.
+        """
+        share = min(steps / 30_000, 1.0)
+        return cls(
+            extent=extent,
+            most=most,
+            first_step=max(round(500 * share), 30),
+            last_step=round(15_000 * share),
+            every=max(round(100 * share), 25),
+            reset_every=max(round(3000 * share), 1000),
+        )
+
+
+class AdaptiveDensity:
+    """Clones, splits and prunes by the gradients that centres had on screen."""
+
+    def __init__(self, settings: AdaptiveSettings) -> None:
+        self._settings = settings
+        self._notes: dict[str, Tensor] = {}
+
+    def observe(self, step: int, rendered: Any, rows: slice | Tensor = slice(None)) -> None:
+        """Add up how hard the loss pulls at each centre, in normalized device units."""
+        height, width = rendered.alpha.shape
+        drawn = rendered.footprint.drawn[rows]
+        if len(self._notes.get("count", ())) != len(drawn):
+            self._notes = {name: torch.zeros(len(drawn)) for name in ("pull", "count", "radius")}
+        self._notes = {name: each.to(drawn.device) for name, each in self._notes.items()}
+        half = 0.5 * float(np.sqrt(width * height))
+        self._notes["pull"] += torch.where(drawn, rendered.footprint.screen_gradients[rows] * half, 0).float()
+        self._notes["count"] += drawn
+        radius = torch.where(drawn, rendered.footprint.radii_px[rows] / max(width, height), 0).float()
+        self._notes["radius"] = torch.maximum(self._notes["radius"], radius)
+
+    def adapt(self, step: int, parameters: SplatParameters, generator: Tensor) -> str | None:
+        """Grow and prune every so many steps; reset opacities now and then."""
+        s = self._settings
+        done = ""
+        due = s.first_step <= step < s.last_step and step % s.every == 0
+        if due and len(self._notes.get("count", ())) == len(parameters):
+            with torch.no_grad():
+                done = self._change(step, parameters, generator)
+            self._notes = {}
+        if s.reset_every and 0 < step < s.last_step and step % s.reset_every == 0:
+            _reset_opacities(parameters, s.reset_to)
+            done = f"{done}, opacities reset" if done else "opacities reset"
+        return done or None
+
+    def regularization(self, parameters: SplatParameters) -> Tensor | None:
+        return None
+
+    def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
+        """Return the sums since the last change."""
+        return {name: each.cpu().numpy().copy() for name, each in self._notes.items()}
+
+    def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
+        self._notes = {name: torch.tensor(each) for name, each in state.items()}
+
+    def _change(self, step: int, parameters: SplatParameters, generator: Tensor) -> str:
+        s = self._settings
+        pull = self._notes["pull"] / self._notes["count"].clamp(min=1)
+        size = parameters.scales.amax(dim=1)
+        gone = parameters.opacities < s.least_opacity
+        if s.reset_every and step > s.reset_every:
+            gone |= (size > s.largest * s.extent) | (self._notes["radius"] > s.largest_on_screen)
+        room = max(s.most - len(parameters) + int(gone.sum()), 0)
+        wide = self._notes["radius"] > s.split_on_screen
+        growing = _highest(((pull >= s.gradient) | wide) & ~gone, pull + wide * float(pull.max()), room)
+        large = (size > s.split_from * s.extent) | wide
+        split, cloned = growing & large, growing & ~large
+        more = [parameters.rows(cloned), _children(parameters.rows(split), generator)]
+        parameters.keep(~(gone | split))
+        parameters.extend({name: torch.cat([each[name] for each in more]) for name in more[0]})
+        return f"{int(cloned.sum())} cloned, {int(split.sum())} split, {int(gone.sum())} pruned"
+
+
+def _highest(candidates: Tensor, pull: Tensor, room: int) -> Tensor:
+    """Those candidates that pull hardest, as many as there is room for (each adds one); ties by index."""
+    if int(candidates.sum()) <= room:
+        return candidates
+    order = torch.argsort(torch.where(candidates, pull, -1), descending=True, stable=True)
+    chosen = torch.zeros_like(candidates)
+    chosen[order[:room]] = True
+    return chosen
+
+
+def _children(parents: dict[str, Tensor], generator: Tensor) -> dict[str, Tensor]:
+    """Two for each parent, drawn from its own distribution, smaller by 1.6."""
+    rows = {name: each.repeat((_CHILDREN,) + (1,) * (each.dim() - 1)) for name, each in parents.items()}
+    means = rows["means"]
+    noise = torch.randn(means.shape, generator=generator, device=generator.device, dtype=means.dtype).to(means.device)
+    rows["means"] = means + rotated(rows["quaternions"], noise * torch.exp(rows["log_scales"]))
+    rows["log_scales"] = rows["log_scales"] - float(np.log(_SHRINK))
+    return rows
+
+
+def rotated(quaternions: Tensor, vectors: Tensor) -> Tensor:
+    """(n, 3) vectors turned by quaternions (n, 4) wxyz of any length."""
+    unit = torch.nn.functional.normalize(quaternions, dim=1)
+    w, axis = unit[:, :1], unit[:, 1:]
+    turn = 2 * torch.linalg.cross(axis, vectors)
+    return vectors + w * turn + torch.linalg.cross(axis, turn)
+
+
+def _reset_opacities(parameters: SplatParameters, ceiling: float) -> None:
+    """Make everything nearly transparent, so that floaters near the cameras must earn their opacity again."""
+    logits = parameters.tensors["opacity_logits"].detach()
+    lowered = logits.clamp(max=float(np.log(ceiling / (1 - ceiling))))
+    parameters.put("opacity_logits", slice(None), lowered)

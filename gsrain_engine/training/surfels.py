@@ -1,0 +1,255 @@
+"""Flat Gaussians that cover what one view sees: a disc a cell of pixels, along the surface that its depth shows."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+from scipy.spatial import KDTree
+
+from ..datasets.capture import View
+from ..datasets.masks import pixel_rays
+from ..scene.camera import Camera
+from ..scene.gaussians import Gaussians, sh_from_color
+from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrices
+
+SPREAD = 0.6
+"""Standard deviation of a disc over the spacing of discs: they overlap without blurring much."""
+
+_THICKNESS = 0.1
+"""Standard deviation across the surface over the smaller one along it."""
+
+_STEEPEST = 16.0
+"""How much longer a disc may be than wide: surfaces seen at a grazing angle are not told precisely."""
+
+_SLIGHT, _STEEP, _STRAIGHT = 0.05, 0.5, 0.3
+"""Relative change of depth from pixel to pixel: a slight one is no edge. A larger one, up to a steep one, as of a road
+far away, is none where the changes before and after differ by no more than this part."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surfels:
+    """Discs on surfaces, in the world of the capture."""
+
+    means: Float32[np.ndarray, "n 3"]
+    axes: Float32[np.ndarray, "n 2 3"]
+    """What a step to the next disc is, across and down the picture, along the surface."""
+    colors: Float32[np.ndarray, "n 3"]
+    """Display colours, 0..1."""
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @classmethod
+    def joined(cls, parts: "list[Surfels]") -> "Surfels":
+        """Put sets together, in order."""
+        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("means", "axes", "colors")))
+
+    def gaussians(self, opacity: float) -> Gaussians:
+        """Return discs of Gaussians whose sigma is `SPREAD` of a step, thin across the surface."""
+        first, second = self.axes[:, 0], self.axes[:, 1]
+        covariances = np.einsum("ni,nj->nij", first, first) + np.einsum("ni,nj->nij", second, second)
+        squares, vectors = np.linalg.eigh(covariances.astype(np.float64))  # rising: the surface's normal comes first
+        sizes = SPREAD * np.sqrt(np.maximum(squares, 0))
+        sizes[:, 2] = np.minimum(sizes[:, 2], _STEEPEST * sizes[:, 1])
+        sizes[:, 0] = _THICKNESS * sizes[:, 1]
+        vectors[:, :, 0] *= np.sign(np.linalg.det(vectors))[:, None]
+        return Gaussians(
+            self.means,
+            sizes.astype(np.float32),
+            quaternions_from_matrices(vectors).astype(np.float32),
+            np.full(len(self), opacity, np.float32),
+            sh_from_color(self.colors),
+        )
+
+
+def surfels_of_view(
+    view: View, depth: Float32[np.ndarray, "h w"], stride: int, wanted: Bool[np.ndarray, "rows columns"]
+) -> Surfels:
+    """Make one disc for each wanted cell of stride x stride pixels that has a depth, in the cell's middle.
+
+    Args:
+        view: Without distortion.
+        depth: Along the view axis, 0 where nothing is.
+        stride: Pixels a cell is wide and high.
+        wanted: Cells to be covered, see `cells`.
+    """
+    rows, columns = np.nonzero(wanted)
+    v = np.minimum(rows * stride + stride // 2, view.camera.height - 1)
+    u = np.minimum(columns * stride + stride // 2, view.camera.width - 1)
+    there = depth[v, u] > 0
+    rows, columns, v, u = rows[there], columns[there], v[there], u[there]
+    rays = pixel_rays(view.camera)[v, u]
+    z = depth[v, u][:, None]
+    across, down = slopes(depth)
+    step = np.array([1 / view.camera.fx, 1 / view.camera.fy], np.float32)
+    rotation = view.camera.world_to_camera[:3, :3].astype(np.float32)
+    # One pixel further the place is (z + dz) (ray + dray) - z ray; the slope is relative: dz = z * slope.
+    first = z * (step[0] * rotation[0] + across[v, u][:, None] * rays)
+    second = z * (step[1] * rotation[1] + down[v, u][:, None] * rays)
+    eye = view.camera.position.astype(np.float32)
+    colors = cell_means(view.image, stride)[rows, columns]
+    return Surfels(eye + z * rays, np.stack([first, second], axis=1) * np.float32(stride), colors)
+
+
+def slopes(depth: Float32[np.ndarray, "h w"]) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+    """Relative change of depth a pixel, across and down; 0 at edges and where nothing is.
+
+    Of both neighbours the one counts whose inverse depth, which is linear on planes, is nearer.
+    """
+    inverse = np.where(depth > 0, 1 / np.maximum(depth, 1e-6), 0)
+    found: list[Float32[np.ndarray, "h w"]] = []
+    for axis in (1, 0):
+        steps = np.diff(inverse, axis=axis)
+        nothing = np.full_like(inverse[:, :1] if axis else inverse[:1], np.inf)
+        before = np.concatenate([nothing, steps], axis=axis)
+        after = np.concatenate([steps, nothing], axis=axis)
+        smaller = np.where(np.abs(before) < np.abs(after), before, after)
+        change = np.where(depth > 0, smaller * depth, 0)
+        with np.errstate(invalid="ignore"):
+            bend = np.abs(before - after) / np.maximum(np.maximum(np.abs(before), np.abs(after)), 1e-12)
+        is_surface = (np.abs(change) < _SLIGHT) | ((bend < _STRAIGHT) & (np.abs(change) < _STEEP))
+        found.append(np.where(is_surface, -change, 0).astype(np.float32))
+    return found[0], found[1]
+
+
+def cells(camera: Camera, stride: int) -> tuple[int, int]:
+    """How many rows and columns of cells a picture has."""
+    return -(-camera.height // stride), -(-camera.width // stride)
+
+
+def cell_means(pixels: np.ndarray, stride: int) -> Float32[np.ndarray, "rows columns c"]:
+    """Mean of the pixels of each cell, of 8-bit colours as 0..1."""
+    height, width = pixels.shape[:2]
+    rows, columns = np.arange(0, height, stride), np.arange(0, width, stride)
+    sums = np.asarray(np.add.reduceat(np.add.reduceat(pixels.astype(np.float32), rows, axis=0), columns, axis=1))
+    tall = np.asarray(np.diff(np.append(rows, height)), np.float32)
+    wide = np.asarray(np.diff(np.append(columns, width)), np.float32)
+    scale = 255.0 if pixels.dtype == np.uint8 else 1.0
+    return np.asarray(sums / (tall[:, None, None] * wide[None, :, None] * scale), np.float32)
+
+
+# § Cuts Gaussians that are long for how near cameras come to them.
+
+LONGEST = 0.1
+"""Standard deviation over the distance to the nearest camera. Renderers project as if perspective were linear around a
+Gaussian's middle (Zwicker et al. 2001, section 6.2): a piece of road that reaches past a camera would smear the sky."""
+
+
+def shortened(gaussians: Gaussians, way: Float64[np.ndarray, "p 3"], most: int) -> Gaussians:
+    """Replace each that is too long by a row of shorter ones along its longest axis, which cover its step.
+
+    Args:
+        gaussians: In the capture's world.
+        way: Where cameras are and may be.
+        most: So many there may be afterwards; where that is too few, the others stay in one, short piece.
+    """
+    longest = gaussians.scales.argmax(axis=1)
+    rows = np.arange(len(gaussians))
+    sigma = gaussians.scales[rows, longest]
+    limit = np.maximum(LONGEST * KDTree(way).query(gaussians.means)[0], 1e-6)
+    pieces = np.maximum(np.ceil(sigma / limit), 1).astype(np.int64)
+    order = np.argsort(pieces, kind="stable")
+    fits = np.cumsum(pieces[order] - 1) <= most - len(gaussians)
+    pieces[order[~fits]] = 1
+    source = np.repeat(rows, pieces)
+    first = np.cumsum(pieces) - pieces
+    number = np.arange(len(source)) - first[source]
+    short = np.minimum(sigma / pieces, limit)
+    axes = matrices_from_quaternions(gaussians.quaternions.astype(np.float64))[rows, :, longest]
+    along = (number - (pieces[source] - 1) / 2) * short[source] / SPREAD
+    scales = gaussians.scales[source].copy()
+    scales[np.arange(len(source)), longest[source]] = short[source]
+    cut = gaussians.take(source)
+    means = gaussians.means[source] + along[:, None] * axes[source]
+    return Gaussians(means.astype(np.float32), scales, cut.quaternions, cut.opacities, cut.sh)
+
+
+# § Where the cameras of a capture went, also between their pictures.
+
+_PARTS = 8
+"""Of each stretch between two pictures."""
+
+_LONGEST = 0.5
+"""Of a stretch, over the usual depth of what cameras see: so far they see that the way is free."""
+
+
+def camera_way(views: Sequence[View], usual_depth: float) -> Float64[np.ndarray, "p 3"]:
+    """Places of the cameras in the capture's world, and some more between each two pictures of a sensor.
+
+    Args:
+        views: In any order.
+        usual_depth: Of what they see, in the capture's unit; stretches that are long beside it are left open.
+    """
+    stretches: list[tuple[np.ndarray, np.ndarray]] = []
+    for sensor in dict.fromkeys(view.sensor for view in views):
+        own = sorted((view for view in views if view.sensor == sensor), key=lambda view: view.time_s)
+        stretches += [(one.camera.position, other.camera.position) for one, other in pairwise(own)]
+    lengths = [float(np.linalg.norm(end - start)) for start, end in stretches]
+    between = [
+        start + (end - start) * part / _PARTS
+        for (start, end), length in zip(stretches, lengths, strict=True)
+        if 0 < length <= _LONGEST * usual_depth
+        for part in range(1, _PARTS)
+    ]
+    return np.array([view.camera.position for view in views] + between)
+
+
+# § Colours of points from the pictures that see them.
+
+_NEAR = 0.05
+
+_HIDDEN = 1.06
+"""A point so many times farther than the surface in its pixel is behind it."""
+
+_SLACK = 0.15
+"""What is added to that, in the world's unit: points on thin things and edges."""
+
+
+def projected(
+    points: Float32[np.ndarray, "p 3"] | Float64[np.ndarray, "p 3"], camera: Camera
+) -> tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"], Int64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
+    """Index of each point that falls into the picture, its row and column there, and its depth."""
+    seen = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    ahead = np.flatnonzero(seen[:, 2] > _NEAR)
+    z = seen[ahead, 2]
+    column = np.floor(seen[ahead, 0] / z * camera.fx + camera.cx)
+    row = np.floor(seen[ahead, 1] / z * camera.fy + camera.cy)
+    inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+    return ahead[inside], row[inside].astype(np.int64), column[inside].astype(np.int64), z[inside].astype(np.float64)
+
+
+def point_colors(
+    points: Float32[np.ndarray, "p 3"] | Float64[np.ndarray, "p 3"],
+    views: Sequence[View],
+    depths: Sequence[Float32[np.ndarray, "_ _"]],
+    most_views: int = 8,
+) -> tuple[Float32[np.ndarray, "p 3"], Bool[np.ndarray, " p"]]:
+    """Display colour of each point, the median over the nearest views that see it, and whether any does (else grey).
+
+    Args:
+        points: In the world of the capture.
+        views: Without distortion; pixels outside their masks tell nothing.
+        depths: Of the surface in each pixel, which hides what is behind it; 0 hides nothing.
+        most_views: Of those that see a point, so many of the nearest count.
+    """
+    nearest = np.full((len(points), most_views), np.inf)
+    samples = np.full((len(points), most_views, 3), np.nan, np.float32)
+    for view, depth in zip(views, depths, strict=True):
+        index, row, column, z = projected(points, view.camera)
+        surface = depth[row, column]
+        seen = (surface <= 0) | (z <= surface * _HIDDEN + _SLACK)
+        mask = view.mask
+        if mask is not None:
+            seen &= mask[row, column]
+        index, row, column, z = index[seen], row[seen], column[seen], z[seen]
+        slot = nearest[index].argmax(axis=1)
+        nearer = z < nearest[index, slot]
+        index, slot = index[nearer], slot[nearer]
+        nearest[index, slot] = z[nearer]
+        samples[index, slot] = view.image[row[nearer], column[nearer]].astype(np.float32) / 255
+    known = np.asarray(np.isfinite(nearest).any(axis=1))
+    colors = np.full((len(points), 3), 0.5, np.float32)
+    colors[known] = np.nanmedian(samples[known], axis=1)
+    return colors, known

@@ -1,0 +1,74 @@
+"""What is to be reconstructed, and where the result goes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+
+from ..datasets.capture import Capture, CaptureError, readable_pictures
+from ..datasets.image_override import with_images
+from ..datasets.layout_hints import nearest_kind
+from ..datasets.masks import read_camera_masks, with_camera_masks
+from ..datasets.open_capture import open_capture
+from ..scene.files import shortened
+from .evaluation import held_out_indices
+from .settings import TrainingSettings
+
+
+class ReconstructionTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One order to reconstruct; it survives pickling, for a worker process."""
+
+    capture: Path
+    output: Path
+    """Scene folder."""
+    settings: TrainingSettings
+    images: Path | None = None
+    """Folder with pictures in place of the capture's own."""
+    masks: Path | None = None
+    """Folder with a picture for each camera, named like it: white may be learned from, black (the own bonnet) not."""
+    resume: bool = False
+    """Whether to go on from the checkpoint beside the output."""
+    lpips: Path | None = None
+    """Weights of LPIPS; None takes those of this machine, if any."""
+    report: Path | None = None
+    """HTML file to write."""
+    snapshot: Path | None = None
+    """Scene folder that is written anew at each look at the held-out views, to be looked at meanwhile."""
+
+    allow_outside: bool | None = None
+    """Whether files outside of the capture's folder are read that its files name; None leaves it to the context."""
+
+    @property
+    def checkpoint(self) -> Path:
+        """Where the checkpoints of this task are; removed once the scene is written."""
+        return self.output.with_name(f"{shortened(self.output.name)}.checkpoint.npz")
+
+    def read(self) -> Capture:
+        """Read the capture; raises `CaptureError`, also where there is nothing to learn from."""
+        capture = readable_pictures(open_capture(self.capture, allow_outside=self.allow_outside))
+        if self.images is not None:
+            capture = with_images(capture, self.images)
+        if self.masks is not None:
+            capture = replace(capture, views=with_camera_masks(capture.views, read_camera_masks(self.masks)))
+        if not capture.has_poses:
+            near = nearest_kind(self.capture)
+            nearest = f"; nearest to this one is {near}" if near is not None else ""
+            told = "nothing tells where the cameras stood; let COLMAP find it, and give its folder"
+            raise CaptureError(f"{self.capture}: {told}{nearest}")
+        if len(capture) < 2:
+            raise CaptureError(
+                f"{self.capture}: has {len(capture)} usable view{'s' * (not capture.views)}, at least 2 are needed"
+            )
+        self.held_out(capture)
+        return capture
+
+    def held_out(self, capture: Capture) -> list[int]:
+        """Which views of the capture are kept for measuring."""
+        settings = self.settings
+        return held_out_indices([view.name for view in capture], settings.held_out, settings.held_out_views)
+
+    def fingerprint(self, capture: Capture) -> str:
+        """Tell captures apart: a checkpoint goes on with the views that it was made from."""
+        names = [view.name for view in capture]
+        pictures = "" if self.images is None else f", pictures of {self.images.name}"
+        return f"{len(names)} views of {capture.name}, {names[0]} to {names[-1]}{pictures}"

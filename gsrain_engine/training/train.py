@@ -1,0 +1,459 @@
+"""From a capture to a scene: start, learn, measure, write; a generator of `Progress` that may be stopped anywhere."""
+
+import logging
+import time
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+
+from ..datasets.capture import Capture, CaptureError, View
+from ..datasets.depth_maps import KnownDepth, known_depth
+from ..datasets.masks import moving_boxes, static_mask
+from ..evaluation.lpips import Lpips
+from ..evaluation.lpips_weights import find_lpips_weights, read_lpips_weights
+from ..evaluation.report import Curve, RunReport, write_report
+from ..evaluation.report_charts import Comparison
+from ..scene.formats.scene_files import write_scene
+from ..scene.gaussians import Gaussians
+from ..scene.progress import Progress
+from .data import TrainingView, prepared_views
+from .ego_mask import without_ego
+from .evaluation import Perceived, Score, TrainingCurves, mean_of
+from .free_space import ClearedDensity, FreeSpace
+from .init import actor_layers, initial_gaussians, initial_sky
+from .mcmc import MonteCarloDensity, MonteCarloSettings
+from .model import Checkpoint, CheckpointError, SplatModel, read_checkpoint, scene_of, write_checkpoint
+from .parameters import SplatParameters
+from .settings import Schedule, TrainingSettings, camera_extent
+from .step import Done, Training, beside
+from .strategy import AdaptiveDensity, AdaptiveSettings, DensityControl
+from .surfels import camera_way
+from .task import ReconstructionTask
+
+logger = logging.getLogger("gsrain")
+
+_STARTED, _TRAINED = 0.04, 0.95
+"""Shares of the whole work after which training begins, and is over."""
+
+_SHOWN_EVERY_S = 2.0
+
+_QUICK_VIEWS = 4
+"""So many held-out views are looked at while training; all of them in the end."""
+
+_LEARNED_VIEWS = 4
+"""So many of the views that were learned from are measured in the end, for comparison."""
+
+_BEFORE = "before"
+
+# § Where a training begins: views made ready, first Gaussians, a sky, things that move, and their control.
+
+
+@dataclass(frozen=True, slots=True)
+class OwnBody:
+    """The search for the vehicle's own body in the pictures, for the record."""
+
+    searched: bool
+    reason: str
+    """Why it ran, or did not."""
+    shares: Mapping[str, float] = field(default_factory=dict[str, float])
+    """By camera, which part (0..1) of its pictures the body covers; cameras without any are not listed."""
+
+    @classmethod
+    def planned(cls, capture: Capture, own_body: bool | None) -> "OwnBody":
+        """Decide by the setting, else by the capture: only a vehicle that drives has a body in its pictures."""
+        if own_body is not None:
+            return cls(own_body, "asked for" if own_body else "not asked for")
+        is_drive = capture.ego is not None
+        return cls(is_drive, "the capture is a drive" if is_drive else "the capture is no drive")
+
+    @property
+    def line(self) -> str:
+        if not self.searched:
+            return f"not looked for ({self.reason})"
+        found = [f"{name or 'the camera'} {100 * share:.0f} %" for name, share in self.shares.items()]
+        return f"looked for ({self.reason}): {', '.join(found) or 'none found'}"
+
+
+# § What a reconstruction came to: figures, curves and pictures.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredPicture:
+    """A render beside its photograph."""
+
+    score: Score
+    rendered: Float32[np.ndarray, "h w 3"]
+    truth: UInt8[np.ndarray, "h w 3"]
+    seen: Bool[np.ndarray, "h w"] | None
+    """Pixels that count; None means all."""
+    is_held_out: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reconstruction:
+    """What came out, and how it was made."""
+
+    capture: Capture
+    settings: TrainingSettings
+    gaussians: int
+    seconds: float
+    """From the first picture read to the last step; over all runs where it was resumed."""
+    curves: TrainingCurves
+    before: tuple[Score, ...]
+    """Held-out views before the first step."""
+    pictures: tuple[MeasuredPicture, ...]
+    """All held-out views, and some that were learned from."""
+    seconds_by_stage: dict[str, float]
+    own_body: OwnBody
+
+    @property
+    def held_out(self) -> list[Score]:
+        """Scores of the views that the training never saw."""
+        return [each.score for each in self.pictures if each.is_held_out]
+
+    @property
+    def learned(self) -> list[Score]:
+        return [each.score for each in self.pictures if not each.is_held_out]
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The figures that a command reports; None where nothing was held out."""
+        return {
+            "seconds": self.seconds,
+            "gaussians": self.gaussians,
+            "psnr_before_db": mean_of(self.before, "psnr_db"),
+            "psnr_held_out_db": mean_of(self.held_out, "psnr_db"),
+            "psnr_held_out_exposed_db": mean_of(self.held_out, "psnr_exposed_db"),
+            "ssim_held_out": mean_of(self.held_out, "ssim"),
+            "lpips_held_out": mean_of(self.held_out, "lpips"),
+            "psnr_learned_db": mean_of(self.learned, "psnr_db"),
+            "views": len(self.capture),
+            "held_out": [asdict(each) for each in self.held_out],
+            "steps": len(self.curves.losses),
+            "seconds_by_stage": self.seconds_by_stage,
+            "own_body": {
+                "searched": self.own_body.searched,
+                "reason": self.own_body.reason,
+                "shares": dict(self.own_body.shares),
+            },
+            "problems": list(self.capture.problems),
+        }
+
+
+def reconstruct(task: ReconstructionTask, opened: Capture | None = None) -> Generator[Progress, None, Reconstruction]:
+    """Fit Gaussians to a capture (the task's, unless one is at hand) and write the scene, and the report if asked for.
+
+    Yields:
+        Progress, at least once a step. Stopped there, the last checkpoint remains.
+
+    Raises:
+        CaptureError: For a capture that can't be read, or has nothing to learn from.
+        CheckpointError: When `resume` finds no checkpoint, or one of another training.
+    """
+    yield Progress(0.0, "Reading the capture")
+    capture = task.read() if opened is None else opened
+    began = time.perf_counter()
+    started = yield from start_training(capture, task.settings, task.held_out(capture), task.lpips)
+    learning = _Learning(task, capture, started, began)
+    yield from learning.resume() if task.resume else learning.look_before()
+    yield from learning.learn()
+    result = yield from learning.measure()
+    yield Progress(0.99, "Writing the scene")
+    task.output.parent.mkdir(parents=True, exist_ok=True)
+    write_scene(scene_of(started.training.model, capture), task.output)
+    if task.report is not None:
+        task.report.parent.mkdir(parents=True, exist_ok=True)
+        write_training_report(task.report, result)
+    task.checkpoint.unlink(missing_ok=True)
+    yield Progress(1.0, f"{result.gaussians:,} Gaussians")
+    return result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StartedTraining:
+    """A training that has done no step yet."""
+
+    training: Training
+    held_out: list[TrainingView]
+    """Views that it does not learn from."""
+    perceived: Perceived | None
+    own_body: "OwnBody"
+
+
+class _Learning:
+    """One training from its first step to its last, with what is noted on the way."""
+
+    def __init__(self, task: ReconstructionTask, capture: Capture, started: StartedTraining, began: float) -> None:
+        self._task, self._capture, self._began = task, capture, began
+        self._settings, self._training = task.settings, started.training
+        self._held, self._perceived, self._own_body = started.held_out, started.perceived, started.own_body
+        self._first, self._curves = 0, TrainingCurves()
+        self._before: tuple[Score, ...] = ()
+        self._shown_at = -np.inf
+
+    def look_before(self) -> Generator[Progress]:
+        yield Progress(_STARTED, "Measuring what it starts from")
+        self._before = tuple(self._training.measure(view) for view in self._held)
+        self._note(0, self._before[:_QUICK_VIEWS])
+
+    def resume(self) -> Generator[Progress]:
+        file = self._task.checkpoint
+        yield Progress(_STARTED, f"Reading {file.name}")
+        checkpoint = read_checkpoint(file, self._settings, self._task.fingerprint(self._capture))
+        try:
+            self._training.restore(checkpoint.arrays)
+            self._curves = TrainingCurves.restored(checkpoint.arrays)
+            self._before = _scores(self._held, checkpoint.arrays[_BEFORE])
+        except KeyError as error:
+            raise CheckpointError(f"{file}: holds no {error}; begin anew without --resume") from None
+        self._first = checkpoint.step
+        self._began -= checkpoint.seconds
+
+    def learn(self) -> Generator[Progress]:
+        settings = self._settings
+        for number in range(self._first, settings.steps):
+            done = self._training.step(number)
+            self._curves.add(done.loss, self._training.model.count, self._seconds)
+            yield self._told(done)
+            if _is_due(settings.measured_every, number, settings.steps):
+                yield self._look(number)
+            if _is_due(settings.saved_every, number, settings.steps):
+                self._save(number + 1)
+                yield self._said(number, f"Saved {self._task.checkpoint.name}")
+
+    def _look(self, number: int) -> Progress:
+        """Write the scene as it is now where that is asked for, and look at some held-out views."""
+        if self._task.snapshot is not None:
+            write_scene(scene_of(self._training.model, self._capture), self._task.snapshot)
+        if not self._held:
+            return self._said(number, f"After {number + 1:,} steps: loss {self._curves.recent_loss():.4f}")
+        self._note(number + 1, [self._training.measure(view) for view in self._held[:_QUICK_VIEWS]])
+        told = f"Held-out views after {number + 1:,} steps: {self._curves.measured_db[-1]:.2f} dB"
+        logger.info("%s, %.0f s", told, self._seconds)
+        return self._said(number, told)
+
+    def measure(self) -> Generator[Progress, None, Reconstruction]:
+        """Measure all held-out views, and some that were learned from."""
+        seconds = self._seconds
+        learned = _spread(self._training.views, _LEARNED_VIEWS)
+        chosen = [(view, True) for view in self._held] + [(view, False) for view in learned]
+        pictures: list[MeasuredPicture] = []
+        for view, is_held_out in chosen:
+            rendered = self._training.render(view)
+            score = self._training.measure(view, self._perceived, rendered)
+            pictures.append(MeasuredPicture(score, rendered, view.levels[0].image, view.seen, is_held_out))
+            fraction = _TRAINED + (0.98 - _TRAINED) * len(pictures) / len(chosen)
+            yield Progress(fraction, f"{view.name}: {score.psnr_db:.2f} dB{'' if is_held_out else ', learned from'}")
+        held = [each.score for each in pictures if each.is_held_out]
+        if held:
+            self._curves.measured(self._settings.steps, mean_of(held, "psnr_db") or 0.0)
+        return Reconstruction(
+            self._capture, self._settings, self._training.model.count, seconds, self._curves, self._before,
+            tuple(pictures), dict(self._training.seconds_by_stage), self._own_body,
+        )  # fmt: skip
+
+    @property
+    def _seconds(self) -> float:
+        return time.perf_counter() - self._began
+
+    def _told(self, done: Done) -> Progress:
+        now, preview = time.perf_counter(), None
+        if now - self._shown_at > _SHOWN_EVERY_S:
+            self._shown_at, preview = now, beside(done.shown, done.truth)
+        message = f"Step {done.step + 1:,} of {self._settings.steps:,}: loss {self._curves.recent_loss():.4f}, "
+        message += f"{self._training.model.count:,} Gaussians"
+        return self._said(done.step, f"{message} ({done.change})" if done.change else message, preview)
+
+    def _said(self, number: int, message: str, preview: np.ndarray | None = None) -> Progress:
+        done = (number + 1) / self._settings.steps
+        return Progress(_STARTED + (_TRAINED - _STARTED) * done, message, preview)
+
+    def _note(self, steps: int, scores: Sequence[Score]) -> None:
+        mean = mean_of(scores, "psnr_db")
+        if mean is not None:
+            self._curves.measured(steps, mean)
+
+    def _save(self, steps: int) -> None:
+        file = self._task.checkpoint
+        file.parent.mkdir(parents=True, exist_ok=True)
+        before = np.array([[each.psnr_db, each.ssim, each.psnr_exposed_db] for each in self._before]).reshape(-1, 3)
+        arrays = self._training.state() | self._curves.state() | {_BEFORE: before}
+        checkpoint = Checkpoint(steps, self._seconds, arrays)
+        write_checkpoint(file, checkpoint, self._settings, self._task.fingerprint(self._capture))
+
+
+def _scores(views: Sequence[TrainingView], figures: np.ndarray) -> tuple[Score, ...]:
+    return tuple(Score(view.name, *row) for view, row in zip(views, figures.tolist(), strict=True))
+
+
+def _is_due(every: int, number: int, steps: int) -> bool:
+    """Whether something is due after a step, counted from 0; the last one is followed by the end anyway."""
+    return every > 0 and (number + 1) % every == 0 and number + 1 < steps
+
+
+def _spread(views: Sequence[TrainingView], count: int) -> list[TrainingView]:
+    chosen = np.unique(np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int))
+    return [views[index] for index in chosen]
+
+
+torch: Any = import_module("torch")
+
+_INITIAL_SHARE = 0.7
+"""Of the Gaussians allowed, how many there may be at first: density control needs room."""
+
+
+def start_training(
+    capture: Capture, settings: TrainingSettings, held_out: Sequence[int], lpips: Path | None = None
+) -> Generator[Progress, None, StartedTraining]:
+    """Make everything ready. Held-out views help to tell what colour the sky has and where the own body is; no more."""
+    device = _device(settings.device)
+    yield Progress(0.0, f"Reading {len(capture)} pictures")
+    views = prepared_views(capture, settings.width_px)
+    yield Progress(0.005, "Looking for surfaces and sky")
+    known = known_depth(capture, views)
+    own_body = OwnBody.planned(capture, settings.own_body)
+    if own_body.searched:
+        yield Progress(0.012, "Looking for the vehicle's own body")
+        views, shares = without_ego(views, known.completed)
+        own_body = replace(own_body, shares=shares)
+    learned = [index for index in range(len(views)) if index not in set(held_out)]
+    yield Progress(0.015, "Placing the first Gaussians")
+    model = _model(capture, settings, [views[i] for i in learned], known.of(learned), device)
+    moving = [box for box in moving_boxes(capture) if box.id not in model.actors]
+    ready = [
+        TrainingView.of(
+            view,
+            known.measured[index] if known.measured[index].any() else None,
+            static_mask(view, moving) if moving else view.mask,
+            known.skies[index] if settings.sky else None,
+        )
+        for index, view in enumerate(views)
+    ]
+    if capture.boxes:  # they tell what moves
+        settings = msgspec.structs.replace(settings, transients=0.0)
+    schedule = Schedule(settings, camera_extent([views[i] for i in learned]))
+    control = _control(settings, schedule)
+    own, own_views = known.of(learned), [views[i] for i in learned]
+    way = camera_way(own_views, own.usual)
+    free = FreeSpace.of([view.camera for view in own_views], own.measured, way, settings.free_space)
+    if free is not None and settings.free_space:
+        control = ClearedDensity(control, free, settings.steps)
+    training = Training(model, [ready[i] for i in learned], schedule, control, device)
+    if not capture.is_metric:
+        logger.info(
+            "%s: nothing tells how long a metre is; set the scene's scale before it rains (in the window, or by "
+            "gsrain convert --metres-per-unit)", capture.name,
+        )  # fmt: skip
+    return StartedTraining(training, [ready[i] for i in held_out], _perceived(lpips, device), own_body)
+
+
+def _model(
+    capture: Capture, settings: TrainingSettings, views: Sequence[View], known: KnownDepth, device: str
+) -> SplatModel:
+    """First Gaussians of everything, from the views that are learned from."""
+    budget = max(round(_INITIAL_SHARE * settings.gaussians), 1)
+    background = initial_gaussians(capture, views, budget, settings.seed, known)
+    if not len(background):
+        raise CaptureError(f"{capture.name}: no view shows anything that could be learned from; check poses and masks")
+    sky = initial_sky(capture, views, background, known.skies) if settings.sky else Gaussians.empty()
+    actors = actor_layers(capture, views) if settings.actors else ()
+    return SplatModel(
+        SplatParameters.from_gaussians(background, settings.sh_degree, device),
+        SplatParameters.from_gaussians(sky, 0, device) if len(sky) else None,
+        {actor.id: SplatParameters.from_gaussians(actor.gaussians, 0, device) for actor in actors},
+        {actor.id: actor for actor in actors},
+    )
+
+
+def _device(asked: str) -> str:
+    """Return "cuda" where that is asked for or usable; raises ValueError where it is asked for and isn't there."""
+    usable = torch.cuda.is_available() and find_spec("gsplat") is not None
+    if asked == "cuda" and not usable:
+        raise ValueError("--device cuda: needs an NVIDIA GPU, torch with CUDA, and gsplat (pip install gsrain[cuda])")
+    return "cuda" if usable and asked != "cpu" else "cpu"
+
+
+def _control(settings: TrainingSettings, schedule: Schedule) -> DensityControl:
+    if settings.density == "adaptive":
+        return AdaptiveDensity(AdaptiveSettings.for_run(settings.steps, schedule.extent, settings.gaussians))
+
+    def means_rate(step: int) -> float:
+        return schedule.rates(step)["means"]
+
+    return MonteCarloDensity(MonteCarloSettings.for_run(settings.steps, settings.gaussians, means_rate))
+
+
+def _perceived(lpips: Path | None, device: str) -> Perceived | None:
+    """LPIPS with VGG16 from a file, or from this machine; None where nothing is asked for and there is none."""
+    try:
+        weights = find_lpips_weights("vgg") if lpips is None else read_lpips_weights(lpips)
+    except FileNotFoundError:
+        if lpips is not None:
+            raise
+        return None
+    return Lpips(weights).to(device)
+
+
+# § The page of a reconstruction: its settings, curves, held-out pictures and timings.
+
+_SMOOTHED_STEPS = 25
+"""Each step learns from another view: single losses jump."""
+
+
+def write_training_report(file: Path, result: Reconstruction) -> None:
+    shown = [each for each in result.pictures if each.is_held_out] or list(result.pictures)
+    report = RunReport(
+        f"Reconstruction of {result.capture.name}",
+        {key: str(value) for key, value in msgspec.to_builtins(result.settings).items()},
+        _curves(result),
+        tuple(_comparison(each) for each in shown),
+        result.seconds_by_stage,
+        _headlines(result),
+        result.capture.problems,
+    )
+    write_report(file, report)
+
+
+def _comparison(each: MeasuredPicture) -> Comparison:
+    truth = each.truth.astype(np.float32) / 255
+    name = each.score.name if each.is_held_out else f"{each.score.name} (learned from)"
+    compared = Comparison.measured(name, np.clip(each.rendered, 0, 1), truth, each.seen)
+    return replace(compared, lpips=each.score.lpips)
+
+
+def _curves(result: Reconstruction) -> tuple[Curve, ...]:
+    curves = result.curves
+    steps, times = np.arange(1, len(curves.losses) + 1), np.array(curves.seconds)
+    window = min(_SMOOTHED_STEPS, max(len(steps), 1))
+    smooth = np.convolve(curves.losses, np.full(window, 1 / window), "valid")
+    found = [
+        Curve("loss", steps[window - 1 :], smooth, times[window - 1 :], is_logarithmic=True),
+        Curve("Gaussians", steps, np.array(curves.counts, np.float64), times),
+    ]
+    if curves.measured_steps:
+        at = np.array(curves.measured_steps)
+        when = np.concatenate([[0.0], times])[at]
+        found.insert(1, Curve("held-out PSNR", at, np.array(curves.measured_db), when, "dB"))
+    return tuple(found)
+
+
+def _headlines(result: Reconstruction) -> dict[str, str]:
+    lines = {
+        "Gaussians": f"{result.gaussians:,}",
+        "Time": f"{result.seconds / 60:.1f} min",
+        "Views": f"{len(result.capture)}, {len(result.held_out)} held out",
+        "Own body": result.own_body.line,
+    }
+    exposed, before = mean_of(result.held_out, "psnr_exposed_db"), mean_of(result.before, "psnr_db")
+    if exposed is not None:
+        lines["Right halves, exposure fitted on the left"] = f"{exposed:.2f} dB"
+    if before is not None:
+        lines["Before training"] = f"{before:.2f} dB"
+    return lines

@@ -1,0 +1,123 @@
+"""What a panel is: a title, where it docks, and the function of the session that draws it."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+from imgui_bundle import imgui
+
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.plugins import PANELS, Extension, loaded, say_once
+
+from .calibration import calibration_panel, disdrometer_panel
+from .capture import capture_panel
+from .display import display_panel, timeline_panel
+from .drive import drive_panel
+from .drive_plots import camera_mosaic_panel, drive_plots
+from .edit import edit_panel, history_panel
+from .jobs import jobs_panel, log_panel, statistics_panel
+from .layers import layers_panel
+from .make_rainy import make_rainy_panel
+from .rain import rain_panel, rain_readout_panel
+from .rain_keyframes import shower_panel
+from .record import record_panel
+from .select import select_panel
+
+DockSide = Literal["left", "left bottom", "right", "right bottom", "bottom"]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A panel beside the viewport."""
+
+    title: str
+    side: DockSide
+    draw: Callable[[Session], None]
+
+
+# § The one table of panels, and those of installed packages after them.
+
+BUILT_IN_PANELS = (
+    Panel("Layers", "left", layers_panel),
+    Panel("History", "left", history_panel),
+    Panel("Statistics", "left", statistics_panel),
+    Panel("Edit", "left bottom", edit_panel),
+    Panel("Select", "left bottom", select_panel),
+    Panel("Rain", "right", rain_panel),
+    Panel("Make it rainy", "right", make_rainy_panel),
+    Panel("Drive", "right", drive_panel),
+    Panel("Capture", "right", capture_panel),
+    Panel("Record", "right", record_panel),
+    Panel("Display", "right", display_panel),
+    Panel("Read-out", "right bottom", rain_readout_panel),
+    Panel("Disdrometer", "right bottom", disdrometer_panel),
+    Panel("Calibration", "right bottom", calibration_panel),
+    Panel("Rig cameras", "right bottom", camera_mosaic_panel),
+    Panel("Timeline", "bottom", timeline_panel),
+    Panel("Shower", "bottom", shower_panel),
+    Panel("Drive plots", "bottom", drive_plots),
+    Panel("Jobs", "bottom", jobs_panel),
+    Panel("Log", "bottom", log_panel),
+)
+
+
+def all_panels() -> tuple[Panel, ...]:
+    """Our panels, then those of installed packages."""
+    return (*BUILT_IN_PANELS, *installed_panels({each.title for each in BUILT_IN_PANELS}))
+
+
+# § Panels of other installed packages: where one fails, it says so in its place and the window lives on.
+
+logger = logging.getLogger("gsrain")
+
+
+def installed_panels(taken: set[str]) -> tuple[Panel, ...]:
+    """Return the panels of other packages; those that can't be used are left out, and named in the log.
+
+    `taken` are the titles that there are already.
+    """
+    fit: list[Panel] = []
+    for extension, panel in loaded(PANELS, Panel):
+        if panel.title in taken | {each.title for each in fit}:
+            say_once(str(extension.unfit(f"there is a panel {panel.title!r} already")))
+        elif panel.side not in get_args(DockSide):
+            say_once(str(extension.unfit(f"side {panel.side!r} is none of {', '.join(get_args(DockSide))}")))
+        else:
+            fit.append(replace(panel, draw=_Guarded(extension, panel)))
+    return tuple(fit)
+
+
+class _Guarded:
+    """Draws a panel until it fails."""
+
+    def __init__(self, extension: Extension, panel: Panel) -> None:
+        self._extension = extension
+        self._draw = panel.draw
+        self._failure = ""
+
+    def __call__(self, session: Session) -> None:
+        if not self._failure:
+            before = imgui.internal.ErrorRecoveryState()
+            imgui.internal.error_recovery_store_state(before)
+            try:
+                self._draw(session)
+            except Exception as error:  # it is code of others
+                _close_what_is_open(before)
+                self._failure = str(self._extension.unfit(error))
+                session.problem = self._failure
+                logger.error("%s", self._failure, exc_info=True)
+            return
+        imgui.text_wrapped(self._failure)
+        if imgui.button("Try again"):
+            self._failure = ""
+        imgui.set_item_tooltip("Draw the panel once more.")
+
+
+def _close_what_is_open(before: imgui.internal.ErrorRecoveryState) -> None:
+    """End the groups, tables and popups that a panel has begun, and take back the styles that it has pushed."""
+    io = imgui.get_io()
+    asserted, shown = io.config_error_recovery_enable_assert, io.config_error_recovery_enable_tooltip
+    io.config_error_recovery_enable_assert = io.config_error_recovery_enable_tooltip = False
+    imgui.internal.error_recovery_try_to_recover_state(before)
+    io.config_error_recovery_enable_assert, io.config_error_recovery_enable_tooltip = asserted, shown

@@ -1,0 +1,284 @@
+"""The Select panel: how much is selected, more and less of it, by attribute, and sets to come back to."""
+
+from typing import get_args
+
+import numpy as np
+from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, imgui, implot
+
+from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.selection import commands
+from gsrain_engine.editor.selection.attributes import ATTRIBUTES, Histogram, in_range, layer_names
+from gsrain_engine.editor.selection.candidates import Mode, selectable_count, selected_count
+from gsrain_engine.editor.selection.commands import select
+
+from ..widgets.text import label
+
+
+def select_panel(session: Session) -> None:
+    count = selected_count(session.scene)
+    imgui.align_text_to_frame_padding()
+    imgui.text(f"{count:,} of {selectable_count(session.scene):,} selected")
+    imgui.set_item_tooltip("Gaussians that are shown, of layers and actors that are neither hidden nor locked.")
+    _everything(session, count)
+    _more_or_less(session, count)
+    imgui.separator_text("By attribute")
+    attribute_range(session)
+    imgui.separator_text("Selection sets")
+    selection_sets(session, count)
+
+
+def _everything(session: Session, count: int) -> None:
+    if imgui.button("All"):
+        commands.select_all(session)
+    imgui.set_item_tooltip("Select everything that is shown (Ctrl+A).")
+    imgui.same_line()
+    imgui.begin_disabled(count == 0)
+    if imgui.button("None"):
+        commands.select_none(session)
+    imgui.set_item_tooltip("Let go of everything (Ctrl+Shift+A).")
+    imgui.end_disabled()
+    imgui.same_line()
+    if imgui.button("Invert"):
+        commands.invert(session)
+    imgui.set_item_tooltip("Select what is shown and was not selected (Ctrl+I).")
+    imgui.same_line()
+    _, session.view.show_selection = imgui.checkbox("Tint", session.view.show_selection)
+    imgui.set_item_tooltip("Show the selected ones tinted (Shift+S).")
+
+
+def _more_or_less(session: Session, count: int) -> None:
+    options = session.selecting
+    imgui.begin_disabled(count == 0)
+    if imgui.button("Grow"):
+        commands.grow(session, options.distance_m)
+    imgui.set_item_tooltip("Take in what is at most so far from a selected one (Ctrl+]).")
+    imgui.same_line()
+    if imgui.button("Shrink"):
+        commands.shrink(session, options.distance_m)
+    imgui.set_item_tooltip("Let go of what is at most so far from one that is not selected (Ctrl+[).")
+    imgui.end_disabled()
+    imgui.same_line()
+    imgui.align_text_to_frame_padding()
+    imgui.text("by")
+    imgui.same_line()
+    imgui.set_next_item_width(-1)
+    flags = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp
+    _, options.distance_m = imgui.slider_float("##distance_m", options.distance_m, 0.001, 10.0, "%.3f m", flags)
+    imgui.set_item_tooltip("Between centres, in metres. Ctrl+click to type.")
+
+
+# § Selection sets in the Select panel: save what is selected, come back to it, rename, delete.
+
+_SIGNS: dict[Mode, tuple[str, str]] = {
+    "set": (icons_fontawesome_6.ICON_FA_ARROW_POINTER, "Select the Gaussians of this set."),
+    "add": (icons_fontawesome_6.ICON_FA_PLUS, "Add the Gaussians of this set."),
+    "remove": (icons_fontawesome_6.ICON_FA_MINUS, "Take away the Gaussians of this set."),
+    "intersect": (icons_fontawesome_6.ICON_FA_CIRCLE_HALF_STROKE, "Keep only what is in this set too."),
+}
+
+
+def selection_sets(session: Session, count: int) -> None:
+    options = session.selecting
+    imgui.begin_disabled(count == 0)
+    imgui.set_next_item_width(-4.5 * imgui.get_font_size())
+    flags = imgui.InputTextFlags_.enter_returns_true
+    hint = commands.free_name(session.scene)
+    entered, options.set_name = imgui.input_text_with_hint("##set name", hint, options.set_name, flags)
+    imgui.set_item_tooltip("What the set is called; a set of the same name is replaced.")
+    imgui.same_line()
+    if (imgui.button("Save", (-1, 0)) or entered) and commands.save_set(session, options.set_name.strip() or None):
+        options.set_name = ""
+    imgui.set_item_tooltip("Keep what is selected under this name, in the scene's file.")
+    imgui.end_disabled()
+    if not session.scene.selections:
+        imgui.text_disabled("No sets yet. Select something and save it.")
+        return
+    table = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_fixed_fit
+    if imgui.begin_table("sets", 3, table):
+        imgui.table_setup_column("name", imgui.TableColumnFlags_.width_stretch)
+        for number, (name, masks) in enumerate(session.scene.selections.items()):
+            imgui.push_id(number)
+            _row(session, name, sum(mask.size for mask in masks.values()))
+            imgui.pop_id()
+        imgui.end_table()
+
+
+def _row(session: Session, name: str, size: int) -> None:
+    imgui.table_next_row()
+    imgui.table_next_column()
+    _name(session, name)
+    imgui.table_next_column()
+    imgui.align_text_to_frame_padding()
+    imgui.text_disabled(f"{size:,}")
+    imgui.set_item_tooltip("Gaussians in this set.")
+    imgui.table_next_column()
+    for mode in get_args(Mode):
+        icon, help_text = _SIGNS[mode]
+        if imgui.small_button(f"{icon}###recall {mode}"):
+            commands.recall_set(session, name, mode)
+        imgui.set_item_tooltip(help_text)
+        imgui.same_line(0, 3)
+    if imgui.small_button(f"{icons_fontawesome_6.ICON_FA_TRASH}###delete"):
+        commands.remove_set(session, name)
+    imgui.set_item_tooltip("Forget this set; what is selected stays.")
+
+
+def _name(session: Session, name: str) -> None:
+    """Draw the name; a double click lets it be typed."""
+    options = session.selecting
+    if options.renamed_set != name:
+        imgui.align_text_to_frame_padding()
+        imgui.selectable(label(name), False)
+        imgui.set_item_tooltip(f"{name}: double-click to rename.")
+        if imgui.is_item_hovered() and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
+            options.renamed_set = options.new_name = name
+        return
+    imgui.set_next_item_width(-1)
+    if imgui.is_window_appearing() or not imgui.is_any_item_active():
+        imgui.set_keyboard_focus_here()
+    flags = imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all
+    entered, options.new_name = imgui.input_text("##new name", options.new_name, flags)
+    imgui.set_item_tooltip("Enter keeps the name, Esc leaves the old one.")
+    if entered:
+        commands.rename_set(session, name, options.new_name)
+    if entered or imgui.is_item_deactivated():
+        options.renamed_set = ""
+
+
+# § Selecting by a range of an attribute that is dragged over its histogram.
+
+_SIZE = 16
+"""Any size: attributes depend on where the camera is, not on its pixels."""
+
+_HEIGHT_EM = 8.0
+
+_SHOWN, _SELECTED = ImVec4(0.55, 0.6, 0.68, 1.0), ImVec4(1.0, 0.72, 0.2, 1.0)
+
+_LINE, _INSIDE = ImVec4(0.3, 0.75, 1.0, 1.0), (0.3, 0.75, 1.0, 0.18)
+
+_HELP: dict[Mode, str] = {
+    "set": "Select what lies in the range, and nothing else.",
+    "add": "Add what lies in the range.",
+    "remove": "Take away what lies in the range.",
+    "intersect": "Keep only what was selected and lies in the range.",
+}
+
+
+def attribute_range(session: Session) -> None:
+    """Draw the choice of an attribute, its histogram, and what to do with the range."""
+    options, shot = session.selecting, session.shot(_SIZE, _SIZE)
+    names = list(ATTRIBUTES)
+    imgui.set_next_item_width(-1)
+    changed, picked = imgui.combo("##attribute", names.index(options.attribute), [_title(name) for name in names])
+    imgui.set_item_tooltip(ATTRIBUTES[options.attribute].help)
+    if changed:
+        options.attribute, options.range = names[picked], None
+    histogram = options.histogram.of(session.scene, shot, options.attribute)
+    low, high = options.range or (float(histogram.edges[0]), float(histogram.edges[-1]))
+    dragged = _plot(options.attribute, histogram, low, high)
+    chosen = _numbers(options.attribute, histogram, dragged)
+    if chosen != (low, high):
+        options.range = low, high = min(chosen), max(chosen)
+    if options.attribute == "layer":
+        names_within = [name for number, name in layer_names(session.scene).items() if low <= number <= high]
+        imgui.push_text_wrap_pos(0.0)
+        imgui.text_disabled(", ".join(names_within))
+        imgui.pop_text_wrap_pos()
+    for number, mode in enumerate(get_args(Mode)):
+        if number:
+            imgui.same_line()
+        if imgui.button(f"{mode.capitalize()}##range"):
+            found = in_range(session.scene, shot.time_s, shot.camera, options.attribute, *histogram.opened(low, high))
+            select(session, found, mode, options.attribute)
+        imgui.set_item_tooltip(_HELP[mode])
+
+
+def _title(name: str) -> str:
+    unit = ATTRIBUTES[name].unit
+    return f"{name} ({unit})" if unit else name
+
+
+def _plot(name: str, histogram: Histogram, low: float, high: float) -> tuple[float, float]:
+    """Draw the bars with the range over them; returns the range as it was dragged."""
+    flags = implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_legend | implot.Flags_.no_title
+    width = imgui.get_content_region_avail().x  # -1 would mean at least 200 pixels
+    size = ImVec2(width, _HEIGHT_EM * imgui.get_font_size())
+    if not implot.begin_plot("##attribute plot", size, flags | implot.Flags_.no_mouse_text):
+        return low, high
+    fixed = implot.AxisFlags_.lock | implot.AxisFlags_.no_highlight | implot.AxisFlags_.no_side_switch
+    bare = implot.AxisFlags_.no_tick_labels | implot.AxisFlags_.no_grid_lines
+    implot.setup_axes("", "", fixed, fixed | bare)
+    if ATTRIBUTES[name].logarithmic:
+        implot.setup_axis_scale(implot.ImAxis_.x1, implot.Scale_.log10)
+    implot.setup_axis_scale(implot.ImAxis_.y1, implot.Scale_.sym_log)
+    first, last = float(histogram.edges[0]), float(histogram.edges[-1])
+    left, right = _with_margin(first, last, ATTRIBUTES[name].logarithmic)
+    implot.setup_axes_limits(left, right, 0, 1.5 * max(int(histogram.shown.max()), 1), imgui.Cond_.always)
+    _bars("shown", histogram, histogram.shown, _SHOWN)
+    _bars("selected", histogram, histogram.selected, _SELECTED)
+    low, high = _dragged(low, high, first, last)
+    implot.end_plot()
+    imgui.set_item_tooltip(
+        "Grey: all that are shown; orange: selected ones (heights are logarithmic).\n"
+        "Drag over the bars, or drag the two lines, to choose a range."
+    )
+    return low, high
+
+
+def _with_margin(first: float, last: float, logarithmic: bool) -> tuple[float, float]:
+    """Limits of the axis: lines at the outer edges stay whole."""
+    if logarithmic:
+        ratio = (last / first) ** 0.02
+        return first / ratio, last * ratio
+    return first - 0.02 * (last - first), last + 0.02 * (last - first)
+
+
+def _bars(label: str, histogram: Histogram, counts: np.ndarray, color: ImVec4) -> None:
+    spec = implot.Spec()
+    spec.fill_color, spec.line_color, spec.fill_alpha = color, color, 0.75
+    spec.flags = implot.StairsFlags_.shaded
+    heights = np.append(counts, counts[-1]).astype(np.float64)
+    implot.plot_stairs(label, np.ascontiguousarray(histogram.edges), heights, spec)
+
+
+def _dragged(low: float, high: float, first: float, last: float) -> tuple[float, float]:
+    """Shade the range, and let it be dragged: by its lines, or anew over the bars."""
+    low, high = min(max(low, first), last), min(max(high, first), last)
+    limits = implot.get_plot_limits()
+    draw = implot.get_plot_draw_list()
+    implot.push_plot_clip_rect()
+    upper_left, lower_right = implot.plot_to_pixels(low, limits.y.max), implot.plot_to_pixels(high, limits.y.min)
+    draw.add_rect_filled(upper_left, lower_right, imgui.get_color_u32(_INSIDE))
+    implot.pop_plot_clip_rect()
+    _, new_low, _, over_low, holds_low = implot.drag_line_x(0, low, _LINE, 2, 0, False, False, False)
+    _, new_high, _, over_high, holds_high = implot.drag_line_x(1, high, _LINE, 2, 0, False, False, False)
+    if holds_low or holds_high:
+        return min(max(new_low, first), last), min(max(new_high, first), last)
+    at, moved = imgui.get_mouse_pos(), imgui.get_mouse_drag_delta(imgui.MouseButton_.left)
+    pressed = ImVec2(at.x - moved.x, at.y - moved.y)
+    if not (over_low or over_high) and _is_in_plot(pressed) and imgui.is_mouse_dragging(imgui.MouseButton_.left):
+        ends = implot.pixels_to_plot(pressed).x, implot.pixels_to_plot(at).x
+        return max(min(ends), first), min(max(ends), last)
+    return low, high
+
+
+def _is_in_plot(at: ImVec2) -> bool:
+    corner, size = implot.get_plot_pos(), implot.get_plot_size()
+    return corner.x <= at.x <= corner.x + size.x and corner.y <= at.y <= corner.y + size.y
+
+
+def _numbers(name: str, histogram: Histogram, chosen: tuple[float, float]) -> tuple[float, float]:
+    low, high = chosen
+    speed = max(float(histogram.edges[-1] - histogram.edges[0]) / 500, 1e-6)
+    unit = f" {ATTRIBUTES[name].unit}".rstrip()
+    imgui.set_next_item_width(-1)
+    changed, typed_low, typed_high = imgui.drag_float_range2(
+        "##range", low, high, speed, 0.0, 0.0, f"from %.4g{unit}", f"to %.4g{unit}"
+    )
+    imgui.set_item_tooltip(
+        "The range in the attribute's unit; Ctrl+click to type. At an outer edge of the plot it goes on without end."
+    )
+    if changed:  # only then: the widget rounds to single precision
+        low, high = typed_low, typed_high
+    imgui.text_disabled(f"about {histogram.count_within(low, high):,} within")
+    return low, high

@@ -1,0 +1,140 @@
+"""Keys of actions and tools: they work everywhere in the window, unless a text field has them."""
+
+import logging
+from datetime import datetime, timedelta
+
+from imgui_bundle import hello_imgui, imgui
+
+from gsrain_engine.editor.editor import Session
+
+from .commands.base import Action, chord
+from .commands.registry import ACTION_GROUPS, ACTIONS
+from .panels.rain import WARNING
+from .tools.registry import TOOLS
+from .widgets.text import label
+
+
+def act_on_keys(session: Session) -> None:
+    """Do what the keys ask for that were pressed since the last frame."""
+    if imgui.get_io().want_text_input:
+        return
+    for tool in TOOLS:
+        if tool.key is not None and imgui.is_key_chord_pressed(chord(tool.key)):
+            session.view.tool = "" if session.view.tool == tool.name else tool.name
+    for action in ACTIONS:
+        if any(imgui.is_key_chord_pressed(keys) for keys in action.chords):
+            action.perform(session)
+
+
+# § The menu bar, made of the actions; and which panels are shown.
+
+MENUS = ("File", "Edit", "Select", "Scene", "Rain", "Drive", "Timeline", "View", "Help")
+
+
+def draw_menus(session: Session) -> None:
+    for title in MENUS:
+        if imgui.begin_menu(title):
+            groups = [[action for action in group if action.menu == title] for group in ACTION_GROUPS]
+            for number, group in enumerate(filter(None, groups)):
+                if number:
+                    imgui.separator()
+                for action in group:
+                    _item(session, action)
+                if title == "File" and number == 0:
+                    _recent(session)
+            if title == "View":
+                imgui.separator()
+                _panels()
+            imgui.end_menu()
+
+
+def _item(session: Session, action: Action) -> None:
+    is_on = action.is_on is not None and action.is_on(session)
+    keys = action.key_names.split(" or ")[0]
+    clicked, _ = imgui.menu_item(action.title(session), keys, is_on, action.is_possible(session))
+    if action.help:
+        imgui.set_item_tooltip(action.help)
+    if clicked:
+        action.run(session)
+
+
+def _recent(session: Session) -> None:
+    """Open a scene of last time."""
+    if imgui.begin_menu("Open recent", bool(session.files.recent)):
+        for path in session.files.recent:
+            if imgui.menu_item(label(path.name, str(path)), "", False)[0]:
+                session.open(str(path))
+            imgui.set_item_tooltip(str(path))
+        imgui.end_menu()
+
+
+def _panels() -> None:
+    if imgui.begin_menu("Panels"):
+        for window in panel_windows():
+            clicked, window.is_visible = imgui.menu_item(window.label, "", window.is_visible)
+            if clicked and window.is_visible:
+                bring_to_front(window)
+        imgui.separator()
+        if imgui.menu_item("Put everything back in its place", "", False)[0]:
+            hello_imgui.get_runner_params().docking_params.layout_reset = True
+            for window in panel_windows():
+                window.is_visible = True
+        imgui.end_menu()
+
+
+# § The windows that panels are drawn in: shown, hidden, brought to the front.
+
+
+def panel_windows() -> list[hello_imgui.DockableWindow]:
+    """All but the picture, which is always there."""
+    windows = hello_imgui.get_runner_params().docking_params.dockable_windows
+    return [each for each in windows if each.include_in_view_menu]
+
+
+def bring_to_front(window: hello_imgui.DockableWindow) -> None:
+    """Show a panel in front of those that share its place."""
+    window.is_visible = window.focus_window_at_next_frame = True
+
+
+# § The line at the bottom: scene, selection, rain, what is being done or was just done, and help on the tool in use.
+
+_NEW = timedelta(seconds=8)
+
+
+def status_bar(session: Session) -> None:
+    """Draw the bar's content."""
+    state = session.shown_rainfall.state_at(session.clock.time_s)
+    selected = sum(each.marks.selected.size for each in session.scene.members if each.marks.selected is not None)
+    words = [session.scene.name, f"{session.clock.time_s:.1f} s", f"{state.intensity_mm_h:.1f} mm/h"]
+    if selected:
+        words.append(f"{selected:,} selected")
+    imgui.text("   ".join(words))
+    for warning in filter(None, ["beyond calibration" if state.beyond_calibration else "", session.rain.exaggeration]):
+        imgui.same_line()
+        imgui.text_colored(WARNING, warning)
+    for job in session.running_jobs:
+        imgui.same_line()
+        imgui.text(f"  {job.title}: {100 * job.progress.fraction:.0f} %")
+    if session.busy is not None:
+        imgui.same_line()
+        imgui.text(f"  {session.busy}")
+    tool = next((each for each in TOOLS if each.name == session.view.tool), None)
+    right = f"{imgui.get_io().framerate:.0f} frames/s ({session.backend})"
+    room = imgui.get_window_width() - imgui.calc_text_size(right).x - 2 * imgui.get_font_size()
+    hint = _newest_record(session) or (f"{tool.name}: {tool.help}" if tool is not None else "")
+    if hint:
+        imgui.same_line()
+        corner, height = imgui.get_window_pos(), imgui.get_window_height()
+        low, high = imgui.get_cursor_screen_pos(), (corner.x + room, corner.y + height)
+        imgui.push_clip_rect(low, high, True)
+        imgui.text_disabled(f"   {hint}")
+        imgui.pop_clip_rect()
+    imgui.same_line(room)
+    imgui.text_disabled(right)
+
+
+def _newest_record(session: Session) -> str:
+    """Return what has just gone well, as "Exported out.ply"; what went wrong stays over the picture."""
+    newest = session.log.lines[-1] if session.log.lines else None
+    is_new = newest is not None and newest.level == logging.INFO and datetime.now() - newest.at < _NEW
+    return newest.text if newest is not None and is_new else ""

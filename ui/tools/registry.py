@@ -1,0 +1,25 @@
+"""The tools of the viewport: the one table of them. Another tool is another file here and another row."""
+
+from .base import Tool
+from .rain import RegionTool, SkyPickTool
+from .select_screen import BrushTool, ColorPickTool, FloodTool, LassoTool, PolygonTool, RectangleTool
+from .select_volume import BoxTool, CropTool, SphereTool
+from .transform import LevelTool, MeasureTool, MoveTool, OriginTool
+
+TOOLS: tuple[Tool, ...] = (
+    RectangleTool(),
+    LassoTool(),
+    PolygonTool(),
+    BrushTool(),
+    SphereTool(),
+    BoxTool(),
+    FloodTool(),
+    ColorPickTool(),
+    MoveTool(),
+    CropTool(),
+    MeasureTool(),
+    LevelTool(),
+    OriginTool(),
+    RegionTool(),
+    SkyPickTool(),
+)

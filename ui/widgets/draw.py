@@ -1,0 +1,277 @@
+"""Colours that the timeline and what is drawn over the picture share."""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from imgui_bundle import ImVec2, ImVec4, imgui, imguizmo, implot
+from jaxtyping import Float64
+
+from gsrain_engine.editor.viewport.picking import (
+    Handle,
+    column_major,
+    dragged_by,
+    from_column_major,
+    opengl_projection,
+    opengl_view,
+    projected_point,
+)
+from gsrain_engine.render.draw import Shot
+
+from .text import visible_name
+
+KEY = ImVec4(0.93, 0.93, 0.95, 1.0)
+
+CHOSEN = ImVec4(1.0, 0.66, 0.2, 1.0)
+
+PLAYHEAD = ImVec4(0.95, 0.33, 0.28, 1.0)
+
+PLAYED = ImVec4(0.38, 0.6, 0.85, 1.0)
+
+FLIGHT = ImVec4(0.38, 0.6, 0.85, 0.45)
+
+TOO_FAST = ImVec4(0.95, 0.33, 0.28, 0.75)
+
+RAIN = ImVec4(0.45, 0.85, 1.0, 1.0)
+
+PRESENT = ImVec4(0.45, 0.7, 0.5, 0.6)
+
+OUTLINE = ImVec4(0.0, 0.0, 0.0, 0.65)
+
+
+def color(value: ImVec4 | int) -> int:
+    """Number of a colour for draw lists; numbers of style colours (`imgui.Col_`) follow the theme."""
+    if isinstance(value, ImVec4):
+        return imgui.get_color_u32(value)
+    return imgui.get_color_u32(imgui.get_style_color_vec4(value))
+
+
+DIM = int(imgui.Col_.text_disabled)
+
+FAINT = int(imgui.Col_.separator)
+
+BACKGROUND = int(imgui.Col_.frame_bg)
+
+STRIPE = int(imgui.Col_.table_row_bg_alt)
+
+TEXT = int(imgui.Col_.text)
+
+# § Points, lines and words drawn over the picture at places of the world.
+
+Rgba = tuple[float, float, float, float]
+
+YELLOW: Rgba = (1.0, 0.85, 0.25, 1.0)
+
+_SHADOW: Rgba = (0.0, 0.0, 0.0, 0.6)
+
+# § Where the picture is on the screen, and the way between its pixels and the world.
+
+
+@dataclass(frozen=True)
+class Viewport:
+    """The picture of this frame, for tools and overlays that draw over it. Pixels count from its upper left corner."""
+
+    corner: ImVec2
+    """On the screen."""
+    width: int
+    height: int
+    shot: Shot
+    """What it shows: a camera of this size, in the world (metres)."""
+    hovered: bool
+    """Whether the mouse is over the picture, and nothing else on top of it."""
+    active: bool
+    """Whether a mouse button that was pressed over the picture is still held."""
+
+    @property
+    def mouse_px(self) -> tuple[float, float]:
+        at = imgui.get_mouse_pos()
+        return at.x - self.corner.x, at.y - self.corner.y
+
+    def on_screen(self, x: float, y: float) -> ImVec2:
+        """Screen position of a pixel, for draw lists."""
+        return ImVec2(self.corner.x + x, self.corner.y + y)
+
+    def ray(self, x: float, y: float) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+        """Eye and unit direction, in the world, of what is seen at a pixel."""
+        camera = self.shot.camera
+        sight = np.array([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0])
+        direction = camera.world_to_camera[:3, :3].T @ sight
+        return camera.position, direction / np.linalg.norm(direction)
+
+    def pixel(self, point_m: Float64[np.ndarray, "3"]) -> tuple[float, float] | None:
+        """Pixel at which a point of the world is seen; None behind the eye."""
+        seen = projected_point(point_m, self.shot.camera)
+        return seen and (seen.x, seen.y)
+
+
+def draw_point(viewport: Viewport, point_m: Float64[np.ndarray, "3"], color: Rgba = YELLOW, radius: float = 5) -> None:
+    """Draw a dot; nothing behind the eye."""
+    pixel = viewport.pixel(point_m)
+    if pixel is not None:
+        draw, at = imgui.get_window_draw_list(), viewport.on_screen(*pixel)
+        draw.add_circle_filled(at, radius + 1.5, imgui.get_color_u32(_SHADOW))
+        draw.add_circle_filled(at, radius, imgui.get_color_u32(color))
+
+
+def draw_line(
+    viewport: Viewport, start_m: Float64[np.ndarray, "3"], end_m: Float64[np.ndarray, "3"], color: Rgba = YELLOW
+) -> None:
+    """Draw a straight line; nothing where an end of it is behind the eye."""
+    first, second = viewport.pixel(start_m), viewport.pixel(end_m)
+    if first is not None and second is not None:
+        draw = imgui.get_window_draw_list()
+        start, end = viewport.on_screen(*first), viewport.on_screen(*second)
+        draw.add_line(start, end, imgui.get_color_u32(_SHADOW), 4.0)
+        draw.add_line(start, end, imgui.get_color_u32(color), 2.0)
+
+
+def draw_words(viewport: Viewport, point_m: Float64[np.ndarray, "3"], words: str) -> None:
+    """Write something beside a point."""
+    pixel = viewport.pixel(point_m)
+    if pixel is not None:
+        at = viewport.on_screen(*pixel)
+        _write(ImVec2(at.x + 10, at.y - 0.5 * imgui.get_font_size()), words)
+
+
+def draw_hint(viewport: Viewport, words: str) -> None:
+    """Say at the lower edge of the picture what a tool waits for."""
+    size = imgui.calc_text_size(words)
+    _write(viewport.on_screen((viewport.width - size.x) / 2, viewport.height - 2.2 * size.y), words)
+
+
+def is_clicked(viewport: Viewport) -> bool:
+    """Whether the left button was pressed and let go over the picture without dragging: a drag still orbits."""
+    left = imgui.MouseButton_.left
+    moved = imgui.get_io().mouse_drag_max_distance_sqr[left]
+    return viewport.hovered and imgui.is_mouse_released(left) and moved < 16.0
+
+
+def _write(at: ImVec2, words: str) -> None:
+    size, draw = imgui.calc_text_size(words), imgui.get_window_draw_list()
+    low, high = ImVec2(at.x - 6, at.y - 3), ImVec2(at.x + size.x + 6, at.y + size.y + 3)
+    draw.add_rect_filled(low, high, imgui.get_color_u32(_SHADOW), 4.0)
+    draw.add_text(at, imgui.get_color_u32((1.0, 1.0, 1.0, 0.95)), words)
+
+
+# § Small plots in panels.
+
+_HEIGHT_EM, _LEGEND_EM = 12.0, 4.5
+
+
+@contextmanager
+def plot(
+    title: str, x: str, y: str, *, log_x: bool = False, log_y: bool = False, legend: bool = False
+) -> Generator[bool]:
+    """Begin a plot as wide as the panel, with what its axes show; the block draws into it when told that it is seen.
+
+    A legend stands below it; of several plots with the same lines in the same order one legend is enough.
+    """
+    flags = implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_mouse_text
+    if not legend:
+        flags |= implot.Flags_.no_legend
+    height = (_HEIGHT_EM + (_LEGEND_EM if legend else 0)) * imgui.get_font_size()
+    seen = implot.begin_plot(title, ImVec2(-1, height), flags)
+    if seen:
+        fit = implot.AxisFlags_.auto_fit | implot.AxisFlags_.no_highlight
+        implot.setup_axes(x, y, fit, fit)
+        if legend:
+            implot.setup_legend(implot.Location_.south, implot.LegendFlags_.outside)
+        if log_x:
+            implot.setup_axis_scale(implot.ImAxis_.x1, implot.Scale_.log10)
+        if log_y:
+            implot.setup_axis_scale(implot.ImAxis_.y1, implot.Scale_.log10)
+    yield seen
+    if seen:
+        implot.end_plot()
+
+
+def line(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> None:
+    implot.plot_line(visible_name(label), np.ascontiguousarray(x), np.ascontiguousarray(y))
+
+
+def points(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> None:
+    implot.plot_scatter(visible_name(label), np.ascontiguousarray(x), np.ascontiguousarray(y))
+
+
+# § Handles in the picture that a frame of the world is moved, turned or scaled with: ImGuizmo, one value a drag.
+
+_GIZMO = imguizmo.im_guizmo
+
+_OPERATIONS = {
+    "translate": _GIZMO.OPERATION.translate,
+    "rotate": _GIZMO.OPERATION.rotate,
+    "scale": _GIZMO.OPERATION.scale,
+}
+
+_SIZE = 0.17
+"""Of the picture."""
+
+_STEPS = {"translate": 0.5, "rotate": 15.0, "scale": 0.1}
+"""Metres, degrees and factors that Ctrl snaps to."""
+
+
+@dataclass(slots=True)
+class Gizmo:
+    """One gizmo; `name` tells it from others in the same picture."""
+
+    name: str
+    _start: Float64[np.ndarray, "4 4"] | None = None
+    _present: Float64[np.ndarray, "4 4"] | None = None
+
+    @property
+    def is_held(self) -> bool:
+        """Whether one of its handles is being dragged."""
+        return self._start is not None
+
+    def let_go(self) -> None:
+        self._start = self._present = None
+
+    def draw(
+        self, viewport: Viewport, frame: Float64[np.ndarray, "4 4"], handle: Handle
+    ) -> tuple[Float64[np.ndarray, "4 4"] | None, bool]:
+        """Draw it in a frame of the world (metres) and act on the mouse, each frame.
+
+        Returns the similarity of the world that the drag has come to, None while nothing is dragged; and whether the
+        left button is the gizmo's own now. The frame that is drawn follows the hand: `frame` is where a drag begins.
+        """
+        start = self._start if self._start is not None else frame
+        present = self._present if self._present is not None else frame
+        _GIZMO.push_id(self.name)
+        _GIZMO.begin_frame()
+        _GIZMO.set_orthographic(False)
+        _GIZMO.set_gizmo_size_clip_space(_SIZE)
+        _GIZMO.allow_axis_flip(False)
+        _GIZMO.set_drawlist()
+        _GIZMO.set_rect(viewport.corner.x, viewport.corner.y, viewport.width, viewport.height)
+        matrix = _GIZMO.Matrix16(column_major(present))
+        snap = _GIZMO.Matrix3([_STEPS[handle]] * 3) if imgui.get_io().key_ctrl else None
+        camera = viewport.shot.camera
+        with _nothing_in_the_way(viewport):
+            _GIZMO.manipulate(
+                _GIZMO.Matrix16(opengl_view(camera)),
+                _GIZMO.Matrix16(opengl_projection(camera)),
+                _OPERATIONS[handle],
+                _GIZMO.MODE.world if handle != "scale" else _GIZMO.MODE.local,
+                matrix,
+                None,
+                snap,
+            )
+        held, hovered = _GIZMO.is_using(), _GIZMO.is_over()
+        _GIZMO.pop_id()
+        if not held:
+            self.let_go()
+            return None, hovered
+        self._start, self._present = start, from_column_major(matrix.values)
+        return dragged_by(handle, start, self._present), True
+
+
+@contextmanager
+def _nothing_in_the_way(viewport: Viewport) -> Generator[None]:
+    """Hide the picture's own button: ImGuizmo takes no click where another item is under the mouse."""
+    context = imgui.get_current_context()
+    hovered, before, active = context.hovered_id, context.hovered_id_previous_frame, context.active_id
+    if viewport.hovered or viewport.active:
+        context.hovered_id = context.hovered_id_previous_frame = context.active_id = 0
+    yield
+    context.hovered_id, context.hovered_id_previous_frame, context.active_id = hovered, before, active

@@ -1,0 +1,103 @@
+"""Numbers with their names in two columns."""
+
+import re
+from collections.abc import Callable, Iterable
+from functools import wraps
+from typing import Any
+
+from imgui_bundle import imgui
+
+from gsrain_engine.safe_io.text_files import escaped
+
+
+def readings(table: str, rows: Iterable[tuple[str, str, str]]) -> None:
+    """Draw a table of names and values; the third of each row is the tooltip of its name. `table` is its label."""
+    if not imgui.begin_table(table, 2, imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop):
+        return
+    for name, value, help_text in rows:
+        imgui.table_next_row()
+        imgui.table_next_column()
+        imgui.text(name)
+        imgui.set_item_tooltip(help_text)
+        imgui.table_next_column()
+        imgui.text(value)
+    imgui.end_table()
+
+
+# § Names as the window draws them: nothing in them is a label's id, turns the reading direction or ends the window.
+
+_HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+"""Controls, controls of the reading direction, and bytes that are no text, at which Dear ImGui's binding raises."""
+
+_DRAWING = (
+    "text", "text_wrapped", "text_disabled", "text_colored", "text_unformatted", "bullet_text", "label_text",
+    "text_link", "set_tooltip", "set_item_tooltip", "separator_text", "progress_bar", "calc_text_size",
+    "button", "small_button", "checkbox", "radio_button", "selectable", "menu_item", "begin_menu", "tree_node",
+    "tree_node_ex", "collapsing_header", "begin_combo", "combo", "list_box", "input_text", "input_text_with_hint",
+    "begin_tab_item", "begin_table", "table_setup_column", "begin_child", "begin_popup", "begin_popup_modal",
+    "open_popup", "is_popup_open", "push_id", "get_id", "set_clipboard_text",
+)  # fmt: skip
+"""Functions of Dear ImGui that are given text."""
+
+_ONLY_WORDS = ("separator_text", "progress_bar")
+"""Those of them whose text is no identity in any part, and hides what stands behind ## all the same."""
+
+
+def label(name: str, identity: str = "") -> str:
+    """Return a widget's label that shows a name; `identity` tells it from others of that name.
+
+    Dear ImGui hides what stands behind ## and takes what stands behind ### for the identity: in a name they are words.
+    """
+    return f"{visible_name(name)}##{plain_identity(identity)}" if identity else visible_name(name)
+
+
+def visible_name(name: str) -> str:
+    return _all_words(escaped(name))
+
+
+def plain_identity(name: str) -> str:
+    """Return a name as the identity of a widget, behind ## or ###: different names stay different."""
+    return escaped(name.replace("%", "%25").replace("#", "%23").replace("\\", "%5C"))
+
+
+def escape_all_text() -> None:
+    """Let every function of Dear ImGui that is given text show what can't be drawn as escapes, from now on.
+
+    No panel has to think of it: names come from files, and one that is no Unicode would end the window.
+    """
+    for name in _DRAWING:
+        function = getattr(imgui, name)
+        if not hasattr(function, "__wrapped__"):
+            setattr(imgui, name, _escaping(function, _all_words if name in _ONLY_WORDS else None))
+    if not hasattr(imgui.ImDrawList.add_text, "__wrapped__"):
+        imgui.ImDrawList.add_text = _escaping(imgui.ImDrawList.add_text)
+
+
+def _all_words(text: str) -> str:
+    """Return text of which Dear ImGui hides nothing."""
+    words = text.replace("##", "# #").replace("##", "# #")
+    return f"{words} " if words.endswith("#") else words  # with the ## behind it, its last sign would be one of three
+
+
+def _escaping(function: Callable[..., Any], words: Callable[[str], str] | None = None) -> Callable[..., Any]:
+    @wraps(function)
+    def drawing(*arguments: Any, **options: Any) -> Any:
+        if words is not None:
+            arguments = tuple(words(each) if isinstance(each, str) else each for each in arguments)
+        if options:
+            options = {key: _visible(value) for key, value in options.items()}
+        return function(*map(_visible, arguments), **options)
+
+    return drawing
+
+
+def _visible(value: Any) -> Any:
+    if isinstance(value, str):
+        return value if value.isascii() and value.isprintable() else _HIDDEN.sub(_escape, value)
+    if isinstance(value, list) and value and isinstance(value[0], str):  # the choices of a combo box
+        return [_all_words(_visible(each)) for each in value]
+    return value
+
+
+def _escape(found: re.Match[str]) -> str:
+    return repr(found[0])[1:-1]

@@ -1,0 +1,339 @@
+"""The window: hello_imgui owns it. It stands at once; what it shows is loaded behind it."""
+
+import logging
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+# imgui_bundle brings its own GLFW library and has to come before the glfw package.
+from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot
+
+import glfw  # isort: skip
+import os
+import shutil
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from importlib.resources import files
+from typing import Any
+
+import moderngl
+import numpy as np
+import psutil
+from imgui_bundle import glfw_utils
+from jaxtyping import UInt8
+from PIL import Image
+
+from gsrain_engine.editor.preferences import config_folder, load_preferences, state_folder
+from gsrain_engine.malloc_tuning import use_one_arena
+from gsrain_engine.render.opengl.context import LostContextError, check_context, watch, watch_of
+from gsrain_engine.safe_io.text_files import escaped
+from gsrain_engine.scene.files import whole_file
+from gsrain_engine.simulation.rollout_io import ROLLOUT_SUFFIXES
+
+from .restart import Left, start_again
+from .style import apply_style
+from .widgets.text import escape_all_text
+
+if TYPE_CHECKING:
+    from gsrain_engine.editor.editor import Session, WindowBackend
+
+    from .workspace import Workspace
+
+logger = logging.getLogger("gsrain")
+
+VIEWPORT = "View"
+
+_SIZE = (1440, 900)
+
+_REQUIRED_VERSION = 430
+
+_ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""What a machine that goes down, or the end of a person's session, sends to programs."""
+
+_DRIVER_RESTARTS_S = 5.0
+"""The longest that a window which has lost its context waits for its driver before it begins again."""
+
+
+def run_window(
+    begin: "Callable[[], Session]",
+    backend: "WindowBackend" = "auto",
+    on_frame: "Callable[[Workspace], None] | None" = None,
+    *,
+    restarts: bool = True,
+) -> None:
+    """Open the window and return when it is closed; `begin` makes the session, in a thread of its own.
+
+    A window whose graphics context is lost keeps the work and, with `restarts`, begins again, in a process of its own.
+    `on_frame` is called once a frame, as soon as the session is there.
+
+    Raises `OSError` where the display can't be opened, where its driver fails, and where it can't begin again.
+    """
+    began = time.monotonic()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", glfw.GLFWError)
+        if not glfw.init():
+            raise OSError("the display can't be opened (DISPLAY or WAYLAND_DISPLAY names one that is not there)")
+        # hello_imgui asks for its window after this. Drivers that don't know the wish pass it over.
+        glfw.window_hint(glfw.CONTEXT_ROBUSTNESS, glfw.LOSE_CONTEXT_ON_RESET)
+    window = Window(begin, backend, on_frame)
+    for ending in _ENDINGS:
+        signal.signal(ending, lambda number, _: window.end(number))
+    parameters = window.parameters()
+    with own_layout() as layout:
+        parameters.ini_disable = layout is None
+        parameters.ini_folder_type = hello_imgui.IniFolderType.absolute_path
+        parameters.ini_filename = str(layout or "")
+        try:
+            immapp.run(parameters, immapp.AddOnsParams(with_implot=False))
+        except Exception as failure:  # thrown out of a frame
+            window.fail(failure)
+        finally:
+            window.close()  # workers end, whatever has ended the window
+    if window.failure is None:
+        return
+    if window.left.kept is not None:
+        logger.error("What was changed is kept for the next window.")
+    if restarts and isinstance(window.failure, LostContextError):
+        start_again(window.left, time.monotonic() - began)
+    raise window.failure
+
+
+class Window:
+    """An empty window that becomes a workspace."""
+
+    def __init__(
+        self,
+        begin: "Callable[[], Session]",
+        backend: "WindowBackend" = "auto",
+        on_frame: "Callable[[Workspace], None] | None" = None,
+    ) -> None:
+        use_one_arena()
+        self._begin = begin
+        self._on_frame = on_frame
+        self._backend: WindowBackend = backend
+        self._context: moderngl.Context | None = None
+        self._session: Session | None = None
+        self._loader = threading.Thread(target=self._load, name="load the program", daemon=True)
+        self.workspace: Workspace | None = None
+        self._title = ""
+        self._ended_by: int | None = None
+        self.failure: Exception | None = None
+        """What kept the program from being loaded, or going on; the window closes over it."""
+
+    def parameters(self) -> hello_imgui.RunnerParams:
+        escape_all_text()
+        parameters = hello_imgui.RunnerParams()
+        parameters.app_window_params.window_title = "GSRAIN"
+        parameters.app_window_params.window_geometry.size = _SIZE
+        parameters.imgui_window_params.default_imgui_window_type = (
+            hello_imgui.DefaultImGuiWindowType.provide_full_screen_dock_space
+        )
+        parameters.imgui_window_params.show_menu_bar = True
+        parameters.imgui_window_params.show_menu_app = parameters.imgui_window_params.show_menu_view = False
+        parameters.imgui_window_params.show_status_bar = True
+        parameters.imgui_window_params.show_status_fps = False
+        parameters.docking_params.docking_splits = _splits()
+        viewport = hello_imgui.DockableWindow(VIEWPORT, "MainDockSpace", self._draw_viewport)
+        viewport.can_be_closed = viewport.include_in_view_menu = False
+        # What is drawn over the picture never makes it scroll; a bar that comes and goes would change its size.
+        flags = imgui.WindowFlags_
+        viewport.imgui_window_flags = int(flags.no_scrollbar) | int(flags.no_scroll_with_mouse)
+        parameters.docking_params.dockable_windows = [viewport]
+        callbacks = parameters.callbacks
+        callbacks.post_init = self._start
+        callbacks.setup_imgui_style = lambda: apply_style(load_preferences()[0])
+        callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
+        callbacks.pre_new_frame = self._update
+        callbacks.show_menus = lambda: self.workspace.draw_menus() if self.workspace else None
+        callbacks.show_status = lambda: self.workspace.draw_status() if self.workspace else None
+        callbacks.before_exit = self._end
+        # ImGui smooths its own edges: more samples a pixel would only slow down what the processor has to paint.
+        parameters.renderer_backend_options.open_gl_options = hello_imgui.OpenGlOptions(anti_aliasing_samples=0)
+        parameters.fps_idling.enable_idling = False
+        parameters.fps_idling.fps_idle = 0.3  # a frame costs 80 ms where the processor paints it; events wake at once
+        parameters.fps_idling.fps_max = 30.0
+        return parameters
+
+    def drop(self, paths: list[str]) -> None:
+        """Open the roll-outs that were dropped on the window; else a file or folder, of several the first."""
+        if not paths or self.workspace is None:
+            return
+        rollouts = [Path(each) for each in paths if Path(each).suffix.lower() in ROLLOUT_SUFFIXES]
+        for path in rollouts:
+            self.workspace.session.drives.open(path)
+        if not rollouts:
+            self.workspace.session.open(paths[0])
+
+    def ask_to_close(self) -> None:
+        """Leave it to the session whether the window closes: there may be unsaved changes."""
+        if self.workspace is not None:
+            glfw.set_window_should_close(glfw_utils.glfw_window_hello_imgui(), False)
+            self.workspace.session.files.keep()  # a desktop that ends a person's session waits for no answer
+            self.workspace.session.leave()
+
+    def end(self, by: int) -> None:
+        """End without a question before the next frame, for a signal; unsaved changes are kept."""
+        self._ended_by = by
+
+    def fail(self, failure: Exception) -> None:
+        """End the window over something, and keep unsaved changes at once."""
+        driver_failed = isinstance(failure, moderngl.Error)
+        self.failure = OSError(f"the graphics driver has failed: {failure}") if driver_failed else failure
+        if self._session is not None:
+            self._session.files.keep()
+
+    @property
+    def left(self) -> Left:
+        files = self._session.files if self._session is not None else None
+        return Left(files.recovery.kept, files.source) if files is not None else Left()
+
+    def close(self) -> None:
+        """Stop everything behind the window. To be called once more does nothing."""
+        if self._loader.is_alive():
+            self._loader.join()
+        if self._session is not None:
+            self._session.close()
+
+    def _start(self) -> None:
+        """Set the icon, share the OpenGL context, make room for plots, take in dropped files, begin to load."""
+        set_window_icon(glfw_utils.glfw_window_hello_imgui())
+        implot.create_context()
+        self._context = moderngl.create_context(require=_REQUIRED_VERSION)
+        watch(self._context, glfw.get_proc_address)
+        glfw.set_drop_callback(glfw_utils.glfw_window_hello_imgui(), lambda _, paths: self.drop(paths))
+        glfw.set_window_close_callback(glfw_utils.glfw_window_hello_imgui(), lambda _: self.ask_to_close())
+        self._loader.start()
+
+    def _load(self) -> None:
+        try:
+            from . import workspace  # noqa: F401  loads the engine, which takes a while
+
+            self._session = self._begin()
+        except Exception as failure:  # whatever it is, it ends the program with a message, not the thread in silence
+            self.failure = failure
+
+    def _update(self) -> None:
+        """Once a frame, before anything is drawn."""
+        assert self._context is not None
+        try:
+            check_context(self._context)
+            if self._ended_by is not None:
+                raise InterruptedError(f"the window was ended from outside ({signal.Signals(self._ended_by).name})")
+            self._go_on(self._context)
+        except Exception as failure:
+            self._give_up(self._context, failure)
+        if self.failure is not None:
+            self.workspace = None
+            hello_imgui.get_runner_params().app_shall_exit = True
+
+    def _go_on(self, context: moderngl.Context) -> None:
+        if self.workspace is not None:
+            self.workspace.update()
+            if self._on_frame is not None:
+                self._on_frame(self.workspace)
+            self._show_title(self.workspace.title)
+        elif self._session is not None and not self._loader.is_alive():
+            from .workspace import Workspace
+
+            self.workspace = Workspace(self._session, context, self._backend)
+            for panel in self.workspace.dockable_windows():
+                hello_imgui.add_dockable_window(panel)
+
+    def _give_up(self, context: moderngl.Context, failure: Exception) -> None:
+        """End the window; where its context is lost that is the reason, whatever else has failed."""
+        watcher = watch_of(context)
+        is_lost = watcher is not None and watcher.is_lost()
+        self.fail(LostContextError() if is_lost else failure)
+        if watcher is not None:
+            watcher.wait_for_driver(_DRIVER_RESTARTS_S)
+
+    def _show_title(self, title: str) -> None:
+        if title != self._title:
+            self._title = title
+            glfw.set_window_title(glfw_utils.glfw_window_hello_imgui(), escaped(title))
+
+    def _draw_viewport(self) -> None:
+        if self.workspace is not None:
+            self.workspace.draw_viewport()
+            return
+        imgui.set_cursor_pos(ImVec2(20, 40))
+        imgui.text("Starting GSRAIN")
+        imgui.set_cursor_pos_x(20)
+        imgui.progress_bar(-imgui.get_time(), ImVec2(280, 0), "loading")
+
+    def _end(self) -> None:
+        self.close()
+        implot.destroy_context()
+
+
+def _splits() -> list[hello_imgui.DockingSplit]:
+    right = hello_imgui.DockingSplit("MainDockSpace", "RightSpace", imgui.Dir.right, 0.28)
+    right_bottom = hello_imgui.DockingSplit("RightSpace", "RightBottomSpace", imgui.Dir.down, 0.41)
+    bottom = hello_imgui.DockingSplit("MainDockSpace", "BottomSpace", imgui.Dir.down, 0.24)
+    left = hello_imgui.DockingSplit("MainDockSpace", "LeftSpace", imgui.Dir.left, 0.25)
+    left_bottom = hello_imgui.DockingSplit("LeftSpace", "LeftBottomSpace", imgui.Dir.down, 0.5)
+    return [right, right_bottom, bottom, left, left_bottom]
+
+
+# § The window's own icon, for title bars, docks and the list of windows.
+
+SIZES_PX = (16, 24, 32, 48, 64, 256)
+
+_OF_WINDOWS_PX = 64
+"""Larger ones are for menus: a window would only start later."""
+
+
+def set_window_icon(window: Any) -> None:
+    """Give the window its icon. Under Wayland windows have none of their own: there the desktop entry names it."""
+    import glfw  # imgui_bundle has to come before it, and pictures need neither
+
+    if glfw.get_platform() in (glfw.PLATFORM_X11, glfw.PLATFORM_WIN32):
+        icons = [(size, size, read_icon(size).tolist()) for size in SIZES_PX if size <= _OF_WINDOWS_PX]
+        glfw.set_window_icon(window, len(icons), icons)  # numbers: of Pillow's images glfw asks what is deprecated
+
+
+def read_icon(size_px: int) -> UInt8[np.ndarray, "h w 4"]:
+    """The icon in one of `SIZES_PX`, as RGBA that is not premultiplied."""
+    with (files("app") / "icons" / f"{size_px}.png").open("rb") as file:
+        return np.asarray(Image.open(file).convert("RGBA"))
+
+
+# § The window's layout: each window keeps a copy of its own; the next one gets what the last to close has left.
+
+
+@contextmanager
+def own_layout() -> Generator[Path | None]:
+    """Give a file to keep the layout in while the window is open; it becomes the next window's when the block ends.
+
+    Several windows never write to the same file, and what one of them leaves behind is whole. A disk that refuses
+    costs the layout, nothing else: where it takes no file there is none.
+    """
+    shared, folder = config_folder() / "window.ini", state_folder() / "layouts"
+    own = folder / f"{os.getpid()}.ini"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        own.touch()  # the window itself would end over a folder that can't be made
+        own.unlink()
+    except OSError:
+        yield None
+        return
+    with suppress(OSError):
+        _remove_abandoned(folder)
+        shutil.copyfile(shared, own)
+    yield own
+    with suppress(OSError):
+        shared.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(shared) as beside:
+            shutil.copyfile(own, beside)
+        own.unlink(missing_ok=True)
+
+
+def _remove_abandoned(folder: Path) -> None:
+    """Remove the copies of windows that were killed."""
+    for file in folder.glob("*.ini"):
+        if file.stem.isdigit() and not psutil.pid_exists(int(file.stem)):
+            file.unlink(missing_ok=True)
