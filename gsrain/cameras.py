@@ -9,7 +9,8 @@ import numpy as np
 from gsrain_engine.editor.viewport import camera as views
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX
 from gsrain_engine.scene import camera_path
-from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.camera import Camera as Camera
+from gsrain_engine.scene.camera import look_at as look_at
 from gsrain_engine.scene.camera_path_io import read_camera_path, write_camera_path
 from gsrain_engine.scene.scene import Scene
 

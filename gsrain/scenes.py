@@ -9,14 +9,21 @@ import msgspec
 from gsrain_engine.appearance.base import TransferSettings
 from gsrain_engine.appearance.registry import method_of
 from gsrain_engine.appearance.scene_views import ViewChoice
-from gsrain_engine.datasets.capture import Capture
+from gsrain_engine.datasets.capture import Capture as Capture
+from gsrain_engine.datasets.capture import CaptureError as CaptureError
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.edits.level import Axis, oriented
 from gsrain_engine.safe_io.errors import converted
+from gsrain_engine.scene.files import SceneFormatError as SceneFormatError
 from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.gaussians import Gaussians as Gaussians
+from gsrain_engine.scene.gaussians import sh_from_color as sh_from_color
 from gsrain_engine.scene.open import open_scene, open_to_draw
-from gsrain_engine.scene.progress import Progress, finished
-from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.progress import Progress as Progress
+from gsrain_engine.scene.progress import finished
+from gsrain_engine.scene.scene import Actor as Actor
+from gsrain_engine.scene.scene import Layer as Layer
+from gsrain_engine.scene.scene import Scene as Scene
 
 QUICK_VIEWS = 8
 """Views that the built-in wet look is computed from: enough for a first look, and made in seconds."""
