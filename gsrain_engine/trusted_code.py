@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import CodeType, ModuleType
+from typing import Any
 
 import msgspec
 import platformdirs
@@ -299,7 +300,7 @@ class _Finder(importlib.abc.MetaPathFinder):
             self._folders |= more
 
     def find_spec(
-        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+        self, fullname: str, path: Any = None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
         file = self._files.get(fullname)
         if file is not None:

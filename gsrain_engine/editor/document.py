@@ -161,6 +161,10 @@ class EditedDocument:
         """Let the rain change over time in another way; drops in the air go on from where they are."""
         self._go_to_rain(label, self.rain, weather, gesture)
 
+    def set_rain(self, label: str, rain: Rain, gesture: str | None = None) -> None:
+        """Go to another rain; drops in the air go on from where they are. Fields with keys go on from those."""
+        self._go_to_rain(label, rain, self.weather, gesture)
+
     def _go_to_rain(self, label: str, rain: Rain, weather: Weather, gesture: str | None) -> None:
         present = self.history.present
         if rain != present.rain or weather != present.weather:

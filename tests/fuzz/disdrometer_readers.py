@@ -158,13 +158,6 @@ def _own(folder: Path) -> Path:
     return folder / "file.nc"
 
 
-def _mask(folder: Path) -> Path:
-    (folder / "mask.txt").write_text(
-        "\n".join(",".join("1" if row > 3 else "0" for row in range(32)) for _ in range(32))
-    )
-    return folder / "mask.txt"
-
-
 def _row(name: str, write: Callable[[Path], Path], damage: Damage = damaged_text, pattern: str = "*.txt") -> Reader:
     return Reader(f"disdrometer-{name}", write, _read, DisdrometerFileError, ((pattern, damage),))
 
@@ -197,6 +190,5 @@ DISDROMETER_READERS = (
         )
         for name, write in (("netcdf-hdf5", _netcdf("h5netcdf")), ("netcdf-own", _own), ("netcdf-disdrodb", _disdrodb))
     ),  # each file in a process of its own first
-    Reader("class-mask", _mask, _read, DisdrometerFileError, (("*", damaged_text),)),
 )
 """Logs and tables, and what looks at them."""

@@ -109,7 +109,7 @@ def test_what_belongs_to_the_whole_scene_folder():
         haze_gain=1.25, drying_s=120.0, drop_color=(0.7, 0.75, 0.8), max_copies=3,
     )  # fmt: skip
     weather = weather_of(scene)
-    assert (weather.between, weather.times_of("intensity_mm_h")) == ("smooth", [0.0, 1.5, 4.0])
+    assert (weather.between, weather.key_times["intensity_mm_h"].tolist()) == ("smooth", [0.0, 1.5, 4.0])
     assert weather.rain_at(rain, 1.5).wind_m_s == (3.0, 0.5)
     assert weather.rain_at(rain, 4.0).exposure_s == 0.02
 

@@ -15,7 +15,7 @@ from window_driver import testing  # noqa: F401  skips where no window can open
 TESTS = Path(__file__).parents[1]
 PROGRAM = """
 import os, signal, sys
-from app import window
+from ui import window
 from app.main import run
 from session.files.open_document import delete_every_third
 

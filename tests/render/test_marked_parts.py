@@ -48,8 +48,8 @@ def test_drawing_it_is_drawing_the_baked(renderer, fields):
 
 
 def test_masks_are_cut_where_buffers_are(renderer, monkeypatch):
-    for module in ("gpu_arrays", "projection_pass"):
-        monkeypatch.setattr(f"gsrain_engine.render.{module}.CHUNK", 256)
+    for module in ("buffers", "projection"):
+        monkeypatch.setattr(f"gsrain_engine.render.opengl.{module}.CHUNK", 256)
     part = part_of(1000, left_out=some_of(1000), selected=some_of(1000, 0.5, 3))
     kept = np.flatnonzero(~part.left_out.flags)
     rest = Part(part.gaussians.take(kept), part.to_world, selected=part.selected.take(kept))

@@ -9,7 +9,7 @@ import numpy as np
 from .layout import HOUSE_DEPTH_M, House, Label, StreetLayout
 from .mesh import Quads, box, even_lines, graded_lines, layered_noise, panel, patch, tube
 
-_X, _Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 _OVERHANG = 0.32
 
@@ -152,7 +152,6 @@ def _dormers(house: House) -> Quads:
 
 # § House fronts in the frame of the house: x along the front, y into the house, z up.
 
-_FACADE_X, _Y, _FACADE_Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 _FRAMES = ((0.66, 0.65, 0.62), (0.62, 0.62, 0.6), (0.10, 0.055, 0.03), (0.045, 0.075, 0.06), (0.6, 0.58, 0.52))
 
@@ -264,7 +263,7 @@ def _wall(
 
 
 def _plain(x0: float, x1: float, x: Any, z: Any, color: Any) -> Quads:
-    return panel((0, 0, 0), _FACADE_X, _FACADE_Z, x, z, color, Label.BUILDING)
+    return panel((0, 0, 0), _X, _Z, x, z, color, Label.BUILDING)
 
 
 def _weathered(front: Quads, house: House) -> Quads:
@@ -318,7 +317,7 @@ def _balcony(x: float, z: float, width: float, trim: Any) -> Quads:
         sides.append(box((end, -0.5, z + 1.0), (0.045, 0.95, 0.045), iron, Label.BUILDING, edge=0.2, faces="xXZ"))
         for y in np.linspace(-0.85, -0.15, 5):
             sides.append(
-                panel((end, y - 0.012, z), _Y, _FACADE_Z, np.array([0.0, 0.024]),
+                panel((end, y - 0.012, z), _Y, _Z, np.array([0.0, 0.024]),
                       graded_lines([0.0, 0.98], 0.1, 0.35), iron,
                       Label.BUILDING)
             )  # fmt: skip
@@ -360,13 +359,12 @@ def _awning(x0: float, x1: float, color: Any) -> Quads:
     stripes = np.where(even, [0.62, 0.59, 0.5], 2.2 * np.asarray(color))
     cloth = patch(points, np.repeat(stripes, 3, axis=0), Label.BUILDING)
     under = patch(points[:, ::-1], np.repeat(0.5 * stripes, 3, axis=0), Label.BUILDING, sky_access=0.4)
-    valance = panel((0, -1.15, 2.28), _FACADE_X, _FACADE_Z, x, np.array([0.0, 0.22]), stripes, Label.BUILDING)
+    valance = panel((0, -1.15, 2.28), _X, _Z, x, np.array([0.0, 0.22]), stripes, Label.BUILDING)
     return Quads.joined([cloth, under.placed((0, 0, -0.01)), valance])
 
 
 # § Windows and doors in the frame of a house front: x along it, y into the house, z up.
 
-_WINDOW_X, _Y, _WINDOW_Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 REVEAL_M = 0.17
 """How deep frames lie behind the wall."""
@@ -386,7 +384,7 @@ def strip(x0: float, x1: float, z0: float, z1: float, y: float, albedo: Any, ste
     cells = 1 if across < 0.12 else 2
     x = graded_lines([x0, x1], 0.1, step) if wide else np.linspace(x0, x1, cells + 1)
     z = np.linspace(z0, z1, cells + 1) if wide else graded_lines([z0, z1], 0.1, step)
-    return panel((0, y, 0), _WINDOW_X, _WINDOW_Z, x, z, albedo, Label.BUILDING, **more)
+    return panel((0, y, 0), _X, _Z, x, z, albedo, Label.BUILDING, **more)
 
 
 def opening(width: float, height: float, wall: Any, step: float, deep: float = REVEAL_M) -> Quads:
@@ -396,10 +394,10 @@ def opening(width: float, height: float, wall: Any, step: float, deep: float = R
     shade = {"sky_access": 0.55}
     return Quads.joined(
         [
-            panel((0, 0, 0), _Y, _WINDOW_Z, y, z, wall, Label.BUILDING, **shade),
-            panel((width, 0, 0), _WINDOW_Z, _Y, z, y, wall, Label.BUILDING, **shade),
-            panel((0, 0, height), _Y, _WINDOW_X, y, x, wall, Label.BUILDING, sky_access=0.3),
-            panel((0, 0, 0), _WINDOW_X, _Y, x, y, wall, Label.BUILDING, sky_access=0.7),
+            panel((0, 0, 0), _Y, _Z, y, z, wall, Label.BUILDING, **shade),
+            panel((width, 0, 0), _Z, _Y, z, y, wall, Label.BUILDING, **shade),
+            panel((0, 0, height), _Y, _X, y, x, wall, Label.BUILDING, sky_access=0.3),
+            panel((0, 0, 0), _X, _Y, x, y, wall, Label.BUILDING, sky_access=0.7),
         ]
     )
 
@@ -407,7 +405,7 @@ def opening(width: float, height: float, wall: Any, step: float, deep: float = R
 def glass(x0: float, x1: float, z0: float, z1: float, y: float, curtain: float, coarse: float) -> Quads:
     """Make a pane: a dark room behind it, curtains at its sides (0: none, 1: drawn), a mirrored street on it."""
     pane = panel(
-        (0, y, 0), _WINDOW_X, _WINDOW_Z, graded_lines([x0, x1], 0.08, coarse), graded_lines([z0, z1], 0.08, coarse),
+        (0, y, 0), _X, _Z, graded_lines([x0, x1], 0.08, coarse), graded_lines([z0, z1], 0.08, coarse),
         0.02,
         Label.BUILDING, gloss=_GLOSS, sky_access=0.8,
     )  # fmt: skip
@@ -465,7 +463,7 @@ def far_window(width: float, height: float, wall: Any, trim: Any, frame: Any, cu
     x = np.array([0.0, _FRAME, 0.5 * (_FRAME + middle - 0.045), middle - 0.045, middle + 0.045,
                   0.5 * (width - _FRAME + middle + 0.045), width - _FRAME, width])  # fmt: skip
     z = np.array([0.0, _FRAME, 0.5 * bar, bar - 0.03, bar + 0.03, height - _FRAME, height])
-    flat = panel((0, 0.02, 0), _WINDOW_X, _WINDOW_Z, x, z, 0.0, Label.BUILDING, sky_access=0.75)
+    flat = panel((0, 0.02, 0), _X, _Z, x, z, 0.0, Label.BUILDING, sky_access=0.75)
     column, row = np.divmod(np.arange(len(flat)), len(z) - 1)
     wood = np.isin(column, (0, 3, 6)) | np.isin(row, (0, 3, 5))
     hung = np.isin(column, (1, 5)) & (curtain > 0.4) | (curtain > 1)
@@ -516,7 +514,7 @@ def door(width: float, height: float, wall: Any, color: Any, detail: float) -> Q
     wood = np.asarray(color, np.float64)
     x = graded_lines([0.0, 0.1, 0.5 * width - 0.06, 0.5 * width + 0.06, width - 0.1, width], 0.1, 0.3)
     z = graded_lines([0.0, 0.16, 0.95, 1.1, top - 0.14, top], 0.1, 0.5 * detail)
-    leaf = panel((0, deep, 0), _WINDOW_X, _WINDOW_Z, x, z, wood, Label.BUILDING, gloss=0.12, sky_access=0.6)
+    leaf = panel((0, deep, 0), _X, _Z, x, z, wood, Label.BUILDING, gloss=0.12, sky_access=0.6)
     center = leaf.centers
     inset = (np.abs(center[:, 0] - 0.5 * width) > 0.06) & (np.abs(center[:, 0] - 0.5 * width) < 0.5 * width - 0.1)
     inset &= ((center[:, 2] > 0.16) & (center[:, 2] < 0.95)) | ((center[:, 2] > 1.1) & (center[:, 2] < top - 0.14))

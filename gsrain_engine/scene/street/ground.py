@@ -17,7 +17,7 @@ from .layout import (
 )
 from .mesh import Quads, even_lines, graded_lines, lattice_noise, layered_noise, panel, patch, smooth_noise
 
-_X, _Y = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 _ASPHALT = np.array([0.088, 0.088, 0.090])
 
@@ -170,7 +170,6 @@ def _cross_street(layout: StreetLayout, end: int) -> Quads:
 
 # § Pavements with kerbs of granite, concrete slabs and tree pits.
 
-_PAVEMENT_X, _PAVEMENT_Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 _SLAB = np.array([0.235, 0.225, 0.205])
 
@@ -218,14 +217,14 @@ def _side(layout: StreetLayout, side: int) -> Quads:
 
 def _level(x: np.ndarray, y: np.ndarray, side: int, albedo: np.ndarray, label: Label, z: float) -> Quads:
     lines = y if side > 0 else -y[::-1]
-    return panel((0, 0, z), _PAVEMENT_X, _PAVEMENT_Y, x, lines, albedo, label)
+    return panel((0, 0, z), _X, _Y, x, lines, albedo, label)
 
 
 def _kerb_face(x: np.ndarray, kerb: float, side: int) -> Quads:
     z = np.array([-0.06, 0.0, 0.5 * KERB_HEIGHT_M, KERB_HEIGHT_M])
     if side > 0:
-        return panel((0, kerb, 0), _PAVEMENT_X, _Z, x, z, 0.9 * _GRANITE, Label.PAVEMENT, sky_access=0.75)
-    return panel((0, -kerb, 0), _Z, _PAVEMENT_X, z, x, 0.9 * _GRANITE, Label.PAVEMENT, sky_access=0.75)
+        return panel((0, kerb, 0), _X, _Z, x, z, 0.9 * _GRANITE, Label.PAVEMENT, sky_access=0.75)
+    return panel((0, -kerb, 0), _Z, _X, z, x, 0.9 * _GRANITE, Label.PAVEMENT, sky_access=0.75)
 
 
 def _across(layout: StreetLayout, end: int) -> Quads:
@@ -238,16 +237,16 @@ def _across(layout: StreetLayout, end: int) -> Quads:
     strips += [(near, near + end * CROSS_PAVEMENT_M, s * p.kerb_y_m, s * CROSS_LENGTH_M) for s in (1, -1)]
     for xa, xb, ya, yb in strips:
         x, y = even_lines(min(xa, xb), max(xa, xb), 0.65), even_lines(min(ya, yb), max(ya, yb), 0.65)
-        flat = panel((0, 0, KERB_HEIGHT_M), _PAVEMENT_X, _PAVEMENT_Y, x, y, _SLAB, Label.PAVEMENT)
+        flat = panel((0, 0, KERB_HEIGHT_M), _X, _Y, x, y, _SLAB, Label.PAVEMENT)
         center = flat.centers[:, :2].astype(np.float64)
         parts.append(flat.tinted((0.8 + 0.3 * layered_noise(center, 1.5, p.seed + 64, 3))[:, None]))
         z = np.array([0.0, 0.5 * KERB_HEIGHT_M, KERB_HEIGHT_M])
         kerb_x = far if xa == far else near + end * CROSS_PAVEMENT_M
         facing_minus_x = (end > 0) == (xa == far)
         face = (
-            panel((kerb_x, 0, 0), _Z, _PAVEMENT_Y, z, y, _GRANITE, Label.PAVEMENT)
+            panel((kerb_x, 0, 0), _Z, _Y, z, y, _GRANITE, Label.PAVEMENT)
             if facing_minus_x
-            else panel((kerb_x, 0, 0), _PAVEMENT_Y, _Z, y, z, _GRANITE, Label.PAVEMENT)
+            else panel((kerb_x, 0, 0), _Y, _Z, y, z, _GRANITE, Label.PAVEMENT)
         )
         parts.append(face)
     for s in (1, -1):  # where the pavement meets the mouth of the street
@@ -265,8 +264,8 @@ def _yard(layout: StreetLayout, end: int, side: int) -> Quads:
     y0, y1 = sorted((side * (p.front_y_m + HOUSE_DEPTH_M), side * CROSS_LENGTH_M))
     return panel(
         (0, 0, KERB_HEIGHT_M),
-        _PAVEMENT_X,
-        _PAVEMENT_Y,
+        _X,
+        _Y,
         even_lines(x0, x1, 0.6),
         even_lines(y0, y1, 1.2),
         _SLAB,
